@@ -23,8 +23,8 @@ use crate::images::ImageFiles;
 use crate::{RunError, Settings};
 use segwild_features::FeatureField;
 use segwild_flow::files::Stray;
-use segwild_flow::ledger::CheckpointRow;
-use segwild_flow::{Cache, FileError, codec, files};
+use segwild_flow::ledger::{CheckpointRow, State};
+use segwild_flow::{Cache, FileError, Ledger, codec, files};
 use segwild_scene::{Scene, SceneFrame, Skipped};
 use segwild_trainer::{Checkpoint, Model};
 use serde::{Deserialize, Serialize};
@@ -307,6 +307,23 @@ impl RunFolder {
 
     pub(crate) fn intake(&self) -> Result<Intake, RunError> {
         self.read_json("scene.json")
+    }
+
+    /// The scene that the run is of.
+    ///
+    /// # Errors
+    /// When the run has not started, or its record is damaged.
+    pub fn scene_path(&self) -> Result<PathBuf, RunError> {
+        Ok(self.intake()?.scene)
+    }
+
+    /// Key of the training that the run's scene is of; `None` where no ledger names it, or another training is under way.
+    pub fn training_key(&self) -> Option<String> {
+        let stages = Ledger::open_read_only(self.ledger()).and_then(|ledger| ledger.stages()).ok()?;
+        stages
+            .into_iter()
+            .find(|stage| stage.name == "geometry" && stage.state == State::Done)
+            .map(|stage| stage.key)
     }
 
     /// Refuses a scene that is not the one of this run: the run's selections and corrected masks would be taken for

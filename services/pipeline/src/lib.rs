@@ -53,7 +53,7 @@ pub use folder::{Loaded, RunFolder, TrainingSnapshot};
 pub use graph::{RunOptions, STAGES, Summary, needs, run, stages_of};
 pub use intact::{DamagedFile, verify_selections};
 pub use keep::{CacheLine, cache_gc, cache_list, cache_verify};
-pub use light::{AppearanceRequest, BakeRequest, Baked, OWN, ScenePart, bake};
+pub use light::{AppearanceRequest, BakeRequest, Baked, BlendedAppearance, OWN, ScenePart, bake};
 pub use memory::MemoryNeed;
 pub use objects::{ExportedObjects, ListedObjects, ObjectList, SceneObject, export_objects, list_objects};
 pub use prompts::{ObjectQuery, PhotoPrompts, Replay};

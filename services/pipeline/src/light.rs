@@ -86,6 +86,35 @@ impl Lights {
     }
 }
 
+/// One appearance between two.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, serde::Deserialize)]
+pub struct BlendedAppearance {
+    /// Photo whose appearance it is; empty for the scene's own.
+    pub photo: String,
+    /// Photo towards whose appearance it goes; empty for the scene's own.
+    #[serde(default)]
+    pub towards: String,
+    /// How far it goes, 0 to 1.
+    #[serde(default)]
+    pub share: f32,
+}
+
+impl BlendedAppearance {
+    /// Its light.
+    ///
+    /// # Errors
+    /// When a photo is unknown or took no part in the training, or the share is out of range.
+    pub(crate) fn light(&self, scene: &Scene, model: &Model) -> Result<SceneLight, RunError> {
+        if !(0.0..=1.0).contains(&self.share) {
+            return Err(RunError::Request(format!("a share of {} is not from 0 to 1", self.share)));
+        }
+        let named = |photo: &String| if photo.is_empty() { OWN.to_owned() } else { photo.clone() };
+        let photos = [&self.photo, &self.towards].map(named).to_vec();
+        let lights = AppearanceRequest { photos, ..AppearanceRequest::default() }.lights(scene, model)?;
+        Ok(lights.at(self.share).unwrap_or_else(|| model.light(None)))
+    }
+}
+
 /// What to write as splats that any program shows as they are.
 #[derive(Clone, Debug)]
 pub struct BakeRequest {

@@ -2,7 +2,7 @@
 
 use crate::document::{KeptObject, ObjectId};
 use crate::regions::{Combination, Region, RegionRule};
-use segwild_pipeline::AnswerStep;
+use segwild_pipeline::{AnswerStep, BlendedAppearance};
 use segwild_scene::{BoxPrompt, Camera, PointPrompt, Pose, Prompts};
 use segwild_segmenter::Alternative;
 use serde::{Deserialize, Serialize};
@@ -108,7 +108,7 @@ impl ShownPrompts {
 /// What a person wants done.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
-pub enum Action {
+pub enum StudioAction {
     /// Asks for what these prompts mean; none ends the query.
     Prompt {
         /// All prompts of the query.
@@ -212,6 +212,21 @@ pub enum Action {
         id: Option<ObjectId>,
         /// Index of the photo; `null` is the scene's own appearance.
         photo: Option<usize>,
+        /// Index of the photo towards whose appearance it goes; `null` is the scene's own.
+        #[serde(default)]
+        towards: Option<usize>,
+        /// How far it goes, 0 to 1.
+        #[serde(default)]
+        share: f32,
+    },
+    /// Changes the mask of a photo's transients by a region of the photo.
+    Transients {
+        /// Index of the photo.
+        photo: usize,
+        /// The region, in pixels of the photo as it is shown, at full size.
+        region: Region,
+        /// How.
+        how: Combination,
     },
     /// Shows objects with their spikes cut, or as they were.
     CutSpikes {
@@ -347,8 +362,10 @@ pub struct StateMessage {
     pub objects: Vec<ObjectMessage>,
     /// The object that is shown alone.
     pub isolated: Option<ObjectId>,
-    /// Index of the photo whose appearance the scene has; `null` is its own.
-    pub appearance: Option<usize>,
+    /// The appearance of the scene.
+    pub appearance: AppearanceMessage,
+    /// Indices of the photos whose transient masks were changed.
+    pub corrected: Vec<usize>,
     /// Whether objects are shown with their spikes cut.
     pub cut_spikes: bool,
     /// What undo would take back.
@@ -357,6 +374,25 @@ pub struct StateMessage {
     pub redo: Option<&'static str>,
     /// Warnings, a sentence each.
     pub notes: Vec<String>,
+}
+
+/// An appearance between two.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct AppearanceMessage {
+    /// Index of the photo; `null` is the scene's own.
+    pub photo: Option<usize>,
+    /// Index of the photo towards whose appearance it goes; `null` is the scene's own.
+    pub towards: Option<usize>,
+    /// How far it goes, 0 to 1.
+    pub share: f32,
+}
+
+impl AppearanceMessage {
+    /// An appearance; `index` finds a photo by its name.
+    pub fn of(appearance: &BlendedAppearance, index: impl Fn(&str) -> Option<usize>) -> AppearanceMessage {
+        let BlendedAppearance { photo, towards, share } = appearance;
+        AppearanceMessage { photo: index(photo), towards: index(towards), share: *share }
+    }
 }
 
 /// What is being asked for.
@@ -404,8 +440,8 @@ pub struct ObjectMessage {
     pub visible: bool,
     /// Whether it is locked.
     pub locked: bool,
-    /// Index of the photo whose appearance it has; `null` where it has the scene's.
-    pub appearance: Option<usize>,
+    /// Its own appearance; `null` where it has the scene's.
+    pub appearance: Option<AppearanceMessage>,
     /// Its splats.
     pub splats: usize,
     /// Name of its selection: it changes when the splats do.
@@ -425,7 +461,7 @@ impl ObjectMessage {
             colour: object.colour,
             visible: object.visible,
             locked: object.locked,
-            appearance: index(&object.appearance),
+            appearance: object.appearance.as_ref().map(|own| AppearanceMessage::of(own, &index)),
             splats: object.selection.splats,
             selection: object.selection.hash.clone(),
             prompted: !object.draft.is_empty(),

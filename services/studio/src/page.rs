@@ -31,6 +31,7 @@ const FILES: &[PageFile] = files! {
     "scene.js": SCRIPT,
     "shortcuts.js": SCRIPT,
     "splats.js": SCRIPT,
+    "status.js": SCRIPT,
     "strings.js": SCRIPT,
 };
 

@@ -88,7 +88,8 @@ impl Region {
         if sound { None } else { Some("its positions are no numbers") }
     }
 
-    fn holds(&self, p: Vec2) -> bool {
+    /// Whether it holds a position of its view.
+    pub(crate) fn holds(&self, p: Vec2) -> bool {
         match self {
             Region::Polygon { points } => in_polygon(points, p),
             Region::Brush { points, radius } => {

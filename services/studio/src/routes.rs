@@ -1,6 +1,6 @@
 //! What the server answers to.
 
-use crate::messages::{Action, FrameRequest, HoverRequest, PickRequest, RunEntry, StateMessage};
+use crate::messages::{FrameRequest, HoverRequest, PickRequest, RunEntry, StateMessage, StudioAction};
 use crate::runs::{Found, ServedRuns};
 use crate::{Studio, StudioError, page};
 use axum::body::Bytes;
@@ -11,6 +11,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Json, Router};
 use futures_util::stream;
+use segwild_farm::{EmbeddedEngine, EngineError, JobEngine, JobState};
 use segwild_monitor::{MonitorTarget, MonitorView};
 use segwild_pipeline::RunError;
 use serde::Deserialize;
@@ -27,10 +28,12 @@ pub(crate) fn routes(runs: Runs) -> Router {
         .route("/page/{name}", get(async |Path(name): Path<String>| page::file(&name)))
         .route("/api/v1/runs", get(list))
         .route("/api/v1/status", get(status))
+        .route("/api/v1/scenes/{scene}/retry", post(retry))
         .route("/api/v1/runs/{run}", get(describe))
         .route("/api/v1/runs/{run}/state", get(state))
         .route("/api/v1/runs/{run}/events", get(events))
         .route("/api/v1/runs/{run}/act", post(act))
+        .route("/api/v1/runs/{run}/train", post(train))
         .route("/api/v1/runs/{run}/hover", post(hover))
         .route("/api/v1/runs/{run}/pick", post(pick))
         .route("/api/v1/runs/{run}/frame", post(frame))
@@ -40,7 +43,11 @@ pub(crate) fn routes(runs: Runs) -> Router {
         .route("/api/v1/runs/{run}/photos/{photo}", get(photo))
         .route("/api/v1/runs/{run}/photos/{photo}/labels", get(labels))
         .route("/api/v1/runs/{run}/objects/{object}/photos", get(photos_of))
+        .route("/api/v1/runs/{run}/photos/{photo}/transients", get(transients))
         .route("/api/v1/runs/{run}/objects/{object}/ply", get(object_ply))
+        .route("/api/v1/runs/{run}/objects/{object}/save", post(save))
+        .route("/api/v1/runs/{run}/export/labels.ply", get(labelled_ply))
+        .route("/api/v1/runs/{run}/export/coco.json", get(coco))
         .fallback(async || StatusCode::NOT_FOUND)
         .with_state(runs)
 }
@@ -77,7 +84,7 @@ impl From<StudioError> for Refusal {
                 StatusCode::BAD_REQUEST
             }
             StudioError::Document(_) => StatusCode::CONFLICT,
-            StudioError::Journal(_) | StudioError::File(_) | StudioError::Run(_) => {
+            StudioError::Journal(_) | StudioError::File(_) | StudioError::Scene(_) | StudioError::Run(_) => {
                 StatusCode::INTERNAL_SERVER_ERROR
             }
         };
@@ -127,6 +134,25 @@ async fn status(State(runs): State<Runs>) -> Response {
     }
 }
 
+/// Gives a scene of a batch that was given up another chance.
+async fn retry(State(runs): State<Runs>, Path(scene): Path<String>) -> Answered {
+    let revive = move || -> Answered<()> {
+        let refused = |code, why: String| Refusal::Because(code, why);
+        let failed = |e: EngineError| refused(StatusCode::INTERNAL_SERVER_ERROR, e.to_string());
+        let Ok(MonitorTarget::Batch(folder)) = MonitorTarget::at(runs.root()) else {
+            return Err(refused(StatusCode::NOT_FOUND, "this is no batch".into()));
+        };
+        let engine = EmbeddedEngine::open(folder.engine_file()).map_err(failed)?;
+        let jobs = engine.jobs().map_err(failed)?;
+        let dead = jobs.iter().find(|j| j.job.id == scene && j.state == JobState::Dead);
+        let dead =
+            dead.ok_or_else(|| refused(StatusCode::CONFLICT, "no scene of this name was given up".into()))?;
+        engine.revive(&dead.job.id).map_err(failed)
+    };
+    tokio::task::spawn_blocking(revive).await.map_err(|_| broken())??;
+    Ok(Json(serde_json::json!({ "retried": true })).into_response())
+}
+
 async fn describe(State(runs): State<Runs>, Path(run): Path<String>) -> Answered {
     let description = answered(&runs, &run, |studio| Ok(studio.describe())).await?;
     Ok(Json(description).into_response())
@@ -156,12 +182,18 @@ async fn events(State(runs): State<Runs>, Path(run): Path<String>) -> Answered {
 }
 
 async fn act(State(runs): State<Runs>, Path(run): Path<String>, body: Bytes) -> Answered {
-    let action: Action = read(&body)?;
+    let action: StudioAction = read(&body)?;
     let message = answered(&runs, &run, |studio| {
         studio.act(action)?;
         Ok(studio.message())
     });
     Ok(Json(message.await?).into_response())
+}
+
+async fn train(State(runs): State<Runs>, Path(run): Path<String>) -> Answered {
+    let done = tokio::task::spawn_blocking(move || runs.train_again(&run)).await.map_err(|_| broken())?;
+    done?;
+    Ok(Json(serde_json::json!({ "training": true })).into_response())
 }
 
 async fn hover(State(runs): State<Runs>, Path(run): Path<String>, body: Bytes) -> Answered {
@@ -187,7 +219,7 @@ fn number<T: std::str::FromStr>(text: &str) -> Answered<T> {
 
 /// The size of a photo.
 #[derive(Deserialize)]
-struct Size {
+struct PhotoSize {
     #[serde(default = "shown_size")]
     size: u32,
 }
@@ -199,7 +231,7 @@ fn shown_size() -> u32 {
 async fn photo(
     State(runs): State<Runs>,
     Path((run, photo)): Path<(String, String)>,
-    Query(Size { size }): Query<Size>,
+    Query(PhotoSize { size }): Query<PhotoSize>,
 ) -> Answered {
     let photo = number(&photo)?;
     let jpeg = answered(&runs, &run, move |studio| studio.photo(photo, size)).await?;
@@ -237,14 +269,40 @@ async fn photos_of(State(runs): State<Runs>, Path((run, object)): Path<(String, 
     Ok(Json(answered(&runs, &run, move |studio| studio.photos_of(object)).await?).into_response())
 }
 
+async fn transients(State(runs): State<Runs>, Path((run, photo)): Path<(String, String)>) -> Answered {
+    let photo = number(&photo)?;
+    Ok(Json(answered(&runs, &run, move |studio| studio.transients(photo)).await?).into_response())
+}
+
+async fn save(State(runs): State<Runs>, Path((run, object)): Path<(String, String)>) -> Answered {
+    let object = number(&object)?;
+    let name = answered(&runs, &run, move |studio| studio.save(object)).await?;
+    Ok(Json(serde_json::json!({ "selection": name })).into_response())
+}
+
+/// A file to be saved.
+fn attached(file: &str, bytes: Vec<u8>) -> Response {
+    let disposition = format!("attachment; filename=\"{file}\"");
+    let headers = [
+        (header::CONTENT_TYPE, "application/octet-stream".into()),
+        (header::CONTENT_DISPOSITION, disposition),
+    ];
+    (headers, bytes).into_response()
+}
+
+async fn labelled_ply(State(runs): State<Runs>, Path(run): Path<String>) -> Answered {
+    Ok(attached("labels.ply", answered(&runs, &run, |studio| studio.labelled_ply()).await?))
+}
+
+async fn coco(State(runs): State<Runs>, Path(run): Path<String>) -> Answered {
+    Ok(attached("coco.json", answered(&runs, &run, |studio| studio.coco()).await?))
+}
+
 async fn object_ply(State(runs): State<Runs>, Path((run, object)): Path<(String, String)>) -> Answered {
     let object = number(&object)?;
     let (name, ply) = answered(&runs, &run, move |studio| studio.object_ply(object)).await?;
     // A header has plain letters only.
     let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
     let name: String = name.chars().map(plain).collect();
-    let file = format!("attachment; filename=\"{name}.ply\"");
-    let headers =
-        [(header::CONTENT_TYPE, "application/octet-stream".into()), (header::CONTENT_DISPOSITION, file)];
-    Ok((headers, ply).into_response())
+    Ok(attached(&format!("{name}.ply"), ply))
 }

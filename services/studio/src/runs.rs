@@ -3,17 +3,22 @@
 use crate::document::JournalError;
 use crate::messages::RunEntry;
 use crate::{Studio, StudioError};
-use segwild_flow::Stopper;
+use segwild_farm::BatchFolder;
+use segwild_flow::{FileError, Stopper};
 use segwild_monitor::view::RunState;
 use segwild_monitor::{MonitorTarget, MonitorView};
 use segwild_pipeline::{RunFolder, TrainingSnapshot};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Runs of a folder that are listed.
 const MOST_RUNS: usize = 2000;
+
+/// Time between two checks whether a newer scene is there.
+const CHECKED: Duration = Duration::from_millis(500);
 
 /// How long the session of an earlier snapshot may take to answer its last requests.
 const FREED: Duration = Duration::from_secs(5);
@@ -21,7 +26,12 @@ const FREED: Duration = Duration::from_secs(5);
 /// A session's way into memory.
 enum OpenState {
     Opening,
-    Open(Arc<Studio>, Instant),
+    Open {
+        studio: Arc<Studio>,
+        used: Instant,
+        /// When it was last checked whether a newer scene is there.
+        checked: Instant,
+    },
     Failed(String),
 }
 
@@ -44,14 +54,30 @@ pub(crate) struct ServedRuns {
     most_open: usize,
     open: Mutex<BTreeMap<String, OpenState>>,
     stopper: Stopper,
+    /// The program that trains.
+    program: Option<PathBuf>,
+    /// Runs that are being trained again.
+    training: Mutex<BTreeMap<String, Child>>,
 }
 
+/// Share of its steps for which a scene is trained on after a correction.
+const CONTINUED: &str = "0.2";
+
 impl ServedRuns {
-    pub fn new(root: &Path, most_open: usize) -> ServedRuns {
+    pub fn new(root: &Path, most_open: usize, program: Option<PathBuf>) -> ServedRuns {
         let root = root.canonicalize().unwrap_or_else(|_| root.to_owned());
         // A folder that is not there yet will be a run's.
-        let holds_runs = root.is_dir() && !has_ledger(&root) && runs_in(&root).next().is_some();
-        ServedRuns { root, single: !holds_runs, most_open, open: Mutex::default(), stopper: Stopper::new() }
+        let is_batch = BatchFolder::open(&root).is_some();
+        let holds_runs = is_batch || (!has_ledger(&root) && runs_in(&root).next().is_some());
+        ServedRuns {
+            root,
+            single: !holds_runs,
+            most_open,
+            open: Mutex::default(),
+            stopper: Stopper::new(),
+            program,
+            training: Mutex::default(),
+        }
     }
 
     fn open(&self) -> MutexGuard<'_, BTreeMap<String, OpenState>> {
@@ -87,6 +113,34 @@ impl ServedRuns {
         }
     }
 
+    /// Trains a run on without its corrected transients, in a process of its own. It stops with this server, where it can be
+    /// continued.
+    ///
+    /// # Errors
+    /// When nobody may train here, the run is being trained, or the process cannot be started.
+    pub fn train_again(&self, name: &str) -> Result<(), StudioError> {
+        let program = self.program.as_ref().ok_or(StudioError::Request("this server does not train"))?;
+        let folder = self.folder(name).ok_or(StudioError::Request("there is no such run"))?;
+        let mut training = self.training.lock().unwrap_or_else(PoisonError::into_inner);
+        if training.get_mut(name).is_some_and(|child| matches!(child.try_wait(), Ok(None))) {
+            return Err(StudioError::Request("this run is being trained already"));
+        }
+        let scene = RunFolder::open(&folder)?.scene_path()?;
+        let child = Command::new(program)
+            .arg("run")
+            .arg(scene)
+            .arg("--out")
+            .arg(&folder)
+            .args(["--continue-share", CONTINUED, "--stop-with-parent"])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .map_err(|e| FileError::new("start", program, e))?;
+        training.insert(name.to_owned(), child);
+        Ok(())
+    }
+
     /// All runs with their states.
     pub fn list(&self) -> Vec<RunEntry> {
         self.names().into_iter().map(|name| self.entry(&name)).collect()
@@ -95,7 +149,7 @@ impl ServedRuns {
     fn entry(&self, name: &str) -> RunEntry {
         let state = |state, reason| RunEntry { name: name.to_owned(), state, reason };
         match self.open().get(name) {
-            Some(OpenState::Open(..)) => return state("open", None),
+            Some(OpenState::Open { .. }) => return state("open", None),
             Some(OpenState::Opening) => return state("opening", None),
             Some(OpenState::Failed(why)) => return state("failed", Some(why.clone())),
             None => {}
@@ -110,9 +164,13 @@ impl ServedRuns {
     pub fn find(self: &Arc<Self>, name: &str) -> Found {
         let Some(folder) = self.folder(name) else { return Found::None };
         let mut open = self.open();
-        if let Some(OpenState::Open(studio, used)) = open.get_mut(name) {
+        if let Some(OpenState::Open { studio, used, checked }) = open.get_mut(name) {
             *used = Instant::now();
-            if !is_outdated(studio, &folder) {
+            let unchecked = checked.elapsed() > CHECKED;
+            if unchecked {
+                *checked = Instant::now();
+            }
+            if !(unchecked && is_outdated(studio, &folder)) {
                 return Found::Open(studio.clone());
             }
             // Its journal has to be free before the next one opens it: whoever still asks this one is waited for.
@@ -129,7 +187,7 @@ impl ServedRuns {
         }
         let source = if is_trained(&folder) { Some(None) } else { snapshot_of(&folder).map(Some) };
         if let (None, Some(snapshot)) = (open.get(name), source) {
-            self.put_away(&mut open);
+            self.close_oldest(&mut open);
             open.insert(name.to_owned(), OpenState::Opening);
             let (runs, of) = (self.clone(), name.to_owned());
             let work = move || runs.open_session(&of, &folder, snapshot.as_ref());
@@ -154,17 +212,17 @@ impl ServedRuns {
             opened = open();
         }
         let state = match opened {
-            Ok(studio) => OpenState::Open(studio, Instant::now()),
+            Ok(studio) => OpenState::Open { studio, used: Instant::now(), checked: Instant::now() },
             Err(error) => OpenState::Failed(error.to_string()),
         };
         self.open().insert(name.to_owned(), state);
     }
 
     /// Puts the sessions away that were used longest ago, so that one more can be opened.
-    fn put_away(&self, open: &mut BTreeMap<String, OpenState>) {
+    fn close_oldest(&self, open: &mut BTreeMap<String, OpenState>) {
         loop {
             let used = |state: &OpenState| match state {
-                OpenState::Open(_, used) => Some(*used),
+                OpenState::Open { used, .. } => Some(*used),
                 _ => None,
             };
             let mut opened: Vec<(Instant, String)> =
@@ -193,9 +251,13 @@ fn snapshot_of(folder: &Path) -> Option<TrainingSnapshot> {
     RunFolder::at(folder).newest_snapshot()
 }
 
-/// Whether a session is of a snapshot where the trained scene, or a newer snapshot that nobody would miss anything by, is there.
+/// Whether a newer scene is there: of a later training, the trained one instead of a snapshot, or a newer snapshot that nobody
+/// would miss anything by.
 fn is_outdated(studio: &Studio, folder: &Path) -> bool {
-    let Some(step) = studio.snapshot() else { return false };
+    let Some(step) = studio.snapshot() else {
+        let newest = RunFolder::at(folder).training_key();
+        return newest.is_some() && newest.as_deref() != studio.session().training() && !is_listing(folder);
+    };
     match is_trained(folder) {
         // Its tree and its list of objects are being made: the snapshot serves until they are there.
         true => !is_listing(folder),

@@ -7,7 +7,7 @@ use axum::extract::DefaultBodyLimit;
 use axum::middleware::from_fn_with_state;
 use segwild_monitor::connections::{ConnectionLimits, answer};
 use std::net::{Ipv4Addr, SocketAddr};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use tokio::sync::oneshot;
@@ -21,7 +21,7 @@ const THREADS: usize = 8;
 /// Connections of all viewers together.
 const CONNECTIONS: ConnectionLimits = ConnectionLimits { most: 256, whole_time: None, keep_alive: true };
 
-/// Sessions that are open at a time, unless told otherwise.
+/// Sessions that are open at a time by default.
 const OPEN_SESSIONS: usize = 4;
 
 /// How a server is started.
@@ -33,11 +33,18 @@ pub struct ServeOptions {
     pub token: Option<Token>,
     /// Sessions that are open at a time: the one that was used longest ago is put away.
     pub most_open: usize,
+    /// The `segwild` program, to train a run again without its corrected transients; `None` where nobody may.
+    pub program: Option<PathBuf>,
 }
 
 impl Default for ServeOptions {
     fn default() -> Self {
-        ServeOptions { address: (Ipv4Addr::LOCALHOST, 0).into(), token: None, most_open: OPEN_SESSIONS }
+        ServeOptions {
+            address: (Ipv4Addr::LOCALHOST, 0).into(),
+            token: None,
+            most_open: OPEN_SESSIONS,
+            program: None,
+        }
     }
 }
 
@@ -104,7 +111,7 @@ impl Drop for StudioServer {
 /// # Errors
 /// When the address cannot be listened on.
 pub fn serve(folder: &Path, options: ServeOptions) -> Result<StudioServer, StudioServeError> {
-    let ServeOptions { address, token, most_open } = options;
+    let ServeOptions { address, token, most_open, program } = options;
     let token = match token {
         Some(token) => token,
         None => Token::random().map_err(StudioServeError::Start)?,
@@ -119,7 +126,7 @@ pub fn serve(folder: &Path, options: ServeOptions) -> Result<StudioServer, Studi
         .build()
         .map_err(StudioServeError::Start)?;
     let (stop, stopped) = oneshot::channel::<()>();
-    let runs = Arc::new(ServedRuns::new(folder, most_open.max(1)));
+    let runs = Arc::new(ServedRuns::new(folder, most_open.max(1), program));
     runs.open_first();
     let guards = Arc::new(Guard { token: token.clone(), address, loopback: address.ip().is_loopback() });
     let routes =

@@ -1,8 +1,9 @@
-//! Selections of a session: `studio/selections/HASH.bin` of a run.
+//! Selections and corrected masks of a session: `studio/selections/HASH.bin` and `HASH.png` of a run.
 
 use crate::document::StoredSelection;
 use segwild_flow::{FileError, files};
 use segwild_pipeline::Selected;
+use segwild_scene::{Mask, SceneError};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -55,15 +56,43 @@ impl SelectionStore {
             *used = self.clock;
             return Some(selected.clone());
         }
-        // The journal may come from somebody else: a hash is letters and digits, and names no other path.
-        let is_hash = stored.hash.len() == 32 && stored.hash.bytes().all(|b| b.is_ascii_hexdigit());
-        let bytes = files::read_plain(&self.path(&stored.hash)).ok().filter(|_| is_hash)?;
+        if !is_hash(&stored.hash) {
+            return None;
+        }
+        let bytes = files::read_plain(&self.path(&stored.hash)).ok()?;
         if blake3::hash(&bytes).to_hex()[..32] != stored.hash {
             return None;
         }
         let selected = Arc::new(Selected::from_bytes(&bytes, self.splats).ok()?);
         self.remember(&stored.hash, selected.clone());
         Some(selected)
+    }
+
+    /// Writes a mask of transients; returns its name.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn put_mask(&self, mask: &Mask) -> Result<String, SceneError> {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(format!("{} {}", mask.width(), mask.height()).as_bytes());
+        mask.pixels().for_each(|(x, y)| {
+            hasher.update(&[x.to_le_bytes(), y.to_le_bytes()].concat());
+        });
+        let name = hasher.finalize().to_hex()[..32].to_owned();
+        let path = self.mask_path(&name);
+        if !path.is_file() {
+            mask.write_png(&path)?;
+        }
+        Ok(name)
+    }
+
+    /// Reads a mask of transients; `None` where its file is missing or damaged.
+    pub fn mask(&self, name: &str) -> Option<Mask> {
+        is_hash(name).then(|| Mask::read_png(&self.mask_path(name)).ok())?
+    }
+
+    fn mask_path(&self, name: &str) -> PathBuf {
+        self.folder.join(format!("{name}.png"))
     }
 
     fn remember(&mut self, hash: &str, selected: Arc<Selected>) {
@@ -74,4 +103,9 @@ impl SelectionStore {
             oldest.map(|hash| self.read.remove(&hash));
         }
     }
+}
+
+/// Whether a name is a hash. A journal may come from somebody else: letters and digits name no other path.
+fn is_hash(name: &str) -> bool {
+    name.len() == 32 && name.bytes().all(|b| b.is_ascii_hexdigit())
 }

@@ -1,21 +1,23 @@
 //! A run's session with its objects, shared by all viewers: prompts are asked, answers grow, every operation is kept.
 
 use crate::document::{
-    Document, DocumentError, Draft, Journal, JournalEntry, JournalError, KeptObject, ObjectId, Operation,
+    Document, DocumentError, Journal, JournalEntry, JournalError, KeptObject, ObjectDraft, ObjectId,
+    Operation,
 };
-use crate::fronts::FrontMaps;
+use crate::fronts::{FrontMap, FrontMaps};
 use crate::messages::{
-    ANSWER_LABEL, Action, AnswerMessage, DraftMessage, FrameRequest, HIDDEN_LABEL, HoverRequest, LabelMap,
-    ListedDescription, ObjectMessage, PhotoDescription, PickRequest, PickedPixel, RunDescription,
-    ShownPrompts, StateMessage,
+    ANSWER_LABEL, AnswerMessage, AppearanceMessage, DraftMessage, FrameRequest, HIDDEN_LABEL, HoverRequest,
+    LabelMap, ListedDescription, ObjectMessage, PhotoDescription, PickRequest, PickedPixel, RunDescription,
+    ShownPrompts, StateMessage, StudioAction,
 };
+use crate::regions::{Combination, Region};
 use crate::store::SelectionStore;
 use segwild_flow::{FileError, Stopper};
 use segwild_pipeline::{
-    ObjectList, Replay, RunError, RunFolder, Selected, Session, SessionOptions, ShownParts, ShownScene,
-    TrainingSnapshot, list_objects,
+    BlendedAppearance, ObjectList, Replay, RunError, RunFolder, Selected, Session, SessionOptions,
+    ShownParts, ShownScene, TrainingSnapshot, list_objects,
 };
-use segwild_scene::{Image, NEAR, PointPrompt, Prompts};
+use segwild_scene::{Image, Mask, NEAR, PointPrompt, Prompts, SceneError};
 use segwild_segmenter::scene_tree::{NONE, TreeQuery};
 use segwild_segmenter::{NeighbourGraph, SegmentSettings};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
@@ -74,6 +76,9 @@ pub enum StudioError {
     /// A file cannot be written.
     #[error(transparent)]
     File(#[from] FileError),
+    /// A mask cannot be written.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
     /// The request makes no sense.
     #[error("{0}")]
     Request(&'static str),
@@ -87,7 +92,7 @@ struct GrowingAnswer {
     stopper: Option<Stopper>,
 }
 
-struct State {
+struct StudioState {
     document: Document,
     journal: Journal,
     store: SelectionStore,
@@ -112,7 +117,7 @@ pub struct Studio {
     session: Session,
     settings: SegmentSettings,
     listed: Option<ObjectList>,
-    state: Mutex<State>,
+    state: Mutex<StudioState>,
     changes: watch::Sender<u64>,
     fronts: FrontMaps,
     graph: OnceLock<NeighbourGraph>,
@@ -165,7 +170,7 @@ impl Studio {
             ));
         }
         let settings = folder.settings()?.segment;
-        let state = State {
+        let state = StudioState {
             document: opened.document,
             journal: opened.journal,
             store,
@@ -190,12 +195,12 @@ impl Studio {
         Ok(studio)
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, StudioState> {
         // A panic elsewhere leaves a state that is whole: operations are applied after they were written.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn changed(&self, state: &mut State) {
+    fn changed(&self, state: &mut StudioState) {
         state.revision += 1;
         self.changes.send_replace(state.revision);
     }
@@ -302,7 +307,8 @@ impl Studio {
             },
             objects: objects.all.iter().map(|object| ObjectMessage::of(object, index)).collect(),
             isolated: objects.isolated,
-            appearance: index(&objects.appearance),
+            appearance: AppearanceMessage::of(&objects.appearance, index),
+            corrected: objects.transients.keys().filter_map(|name| index(name)).collect(),
             cut_spikes: !objects.spikes,
             undo: state.document.undo_label(),
             redo: state.document.redo_label(),
@@ -311,9 +317,10 @@ impl Studio {
     }
 
     /// Writes an entry and applies it; the answer starts again where the draft changed.
-    fn enter(self: &Arc<Self>, state: &mut State, entry: JournalEntry) -> Result<(), StudioError> {
+    fn enter(self: &Arc<Self>, state: &mut StudioState, entry: JournalEntry) -> Result<(), StudioError> {
         let mut next = state.document.clone();
         next.enter(&entry)?;
+        self.write_transients(state, &next)?;
         state.journal.append(&entry)?;
         let draft_changed = next.objects().draft != state.document.objects().draft;
         state.document = next;
@@ -328,34 +335,34 @@ impl Studio {
     ///
     /// # Errors
     /// When it does not fit, or cannot be written.
-    pub fn act(self: &Arc<Self>, action: Action) -> Result<(), StudioError> {
+    pub fn act(self: &Arc<Self>, action: StudioAction) -> Result<(), StudioError> {
         let mut guard = self.state();
         let state = &mut *guard;
         let objects = state.document.objects();
         let operation = match action {
-            Action::Undo => return self.enter(state, JournalEntry::Undo),
-            Action::Redo => return self.enter(state, JournalEntry::Redo),
-            Action::Prompt { prompts, alternative } => {
+            StudioAction::Undo => return self.enter(state, JournalEntry::Undo),
+            StudioAction::Redo => return self.enter(state, JournalEntry::Redo),
+            StudioAction::Prompt { prompts, alternative } => {
                 let prompts = self.as_taken(&prompts)?;
                 let of = objects.draft.of.filter(|_| !prompts.is_empty());
-                Operation::Draft { draft: Draft { prompts, listed: None, alternative, of } }
+                Operation::Draft { draft: ObjectDraft { prompts, listed: None, alternative, of } }
             }
-            Action::Listed { number } => {
+            StudioAction::Listed { number } => {
                 let list =
                     self.listed.as_ref().ok_or(StudioError::Request("this run has no list of objects"))?;
                 let listed = Some(list.query(&number.to_string())?);
-                Operation::Draft { draft: Draft { listed, ..Draft::default() } }
+                Operation::Draft { draft: ObjectDraft { listed, ..ObjectDraft::default() } }
             }
-            Action::Refine { id } => {
+            StudioAction::Refine { id } => {
                 let object = objects.get(id)?;
                 if object.draft.is_empty() {
                     return Err(StudioError::Request(
                         "a tool made this object: it has no prompts to take up again",
                     ));
                 }
-                Operation::Draft { draft: Draft { of: Some(id), ..object.draft.clone() } }
+                Operation::Draft { draft: ObjectDraft { of: Some(id), ..object.draft.clone() } }
             }
-            Action::Keep { name } => {
+            StudioAction::Keep { name } => {
                 let selected = state.answer.selected.clone();
                 let selected = selected.ok_or(StudioError::Request("there is no answer to keep yet"))?;
                 let draft = objects.draft.clone();
@@ -364,17 +371,17 @@ impl Studio {
                 let selection = state.store.put((*selected).clone())?;
                 Operation::Keep { id, name, draft, selection }
             }
-            Action::Rename { id, name } => Operation::Rename { id, name },
-            Action::Show { id, visible } => Operation::Show { id, visible },
-            Action::Lock { id, locked } => Operation::Lock { id, locked },
-            Action::Isolate { id } => Operation::Isolate { id },
-            Action::Colour { id, colour } => Operation::Colour { id, colour },
-            Action::Delete { id } => Operation::Delete { id },
-            Action::Duplicate { id } => {
+            StudioAction::Rename { id, name } => Operation::Rename { id, name },
+            StudioAction::Show { id, visible } => Operation::Show { id, visible },
+            StudioAction::Lock { id, locked } => Operation::Lock { id, locked },
+            StudioAction::Isolate { id } => Operation::Isolate { id },
+            StudioAction::Colour { id, colour } => Operation::Colour { id, colour },
+            StudioAction::Delete { id } => Operation::Delete { id },
+            StudioAction::Duplicate { id } => {
                 let name = objects.free_name(&objects.get(id)?.name.clone());
                 Operation::Duplicate { id, copy: objects.next_id(), name }
             }
-            Action::Combine { id, with, how } => {
+            StudioAction::Combine { id, with, how } => {
                 let (selection, other) =
                     (objects.get(id)?.selection.clone(), objects.get(with)?.selection.clone());
                 let other = state.store.get(&other).ok_or(LOST)?;
@@ -382,14 +389,14 @@ impl Studio {
                 how.apply(&mut selected.labels, &other.labels);
                 Operation::Edit { id, tool: "combine".into(), selection: store(state, selected)? }
             }
-            Action::Grow { id, steps } => {
+            StudioAction::Grow { id, steps } => {
                 let selection = objects.get(id)?.selection.clone();
                 let mut selected = (*state.store.get(&selection).ok_or(LOST)?).clone();
                 self.grow(&mut selected.labels, steps.clamp(-MOST_STEPS, MOST_STEPS));
                 let tool = if steps < 0 { "shrink" } else { "grow" };
                 Operation::Edit { id, tool: tool.into(), selection: store(state, selected)? }
             }
-            Action::Region { id, view, region, how, rule } => {
+            StudioAction::Region { id, view, region, how, rule } => {
                 if let Some(flaw) = region.flaw() {
                     return Err(StudioError::Request(flaw));
                 }
@@ -410,25 +417,103 @@ impl Studio {
                     }
                 }
             }
-            Action::Appearance { id, photo } => {
-                let photo = match photo {
-                    Some(photo) => {
-                        self.check_photo(photo)?;
-                        let view = &self.session.scene().views[photo];
-                        if self.session.model().appearance_index(Some(photo)) != photo {
-                            return Err(StudioError::Request(
-                                "this photo took no part in the training: it has no appearance",
-                            ));
-                        }
-                        view.name.clone()
-                    }
-                    None => String::new(),
-                };
-                Operation::Appearance { id, photo }
+            StudioAction::Appearance { id, photo, towards, share } => {
+                let appearance =
+                    BlendedAppearance { photo: self.lit_by(photo)?, towards: self.lit_by(towards)?, share };
+                if !(0.0..=1.0).contains(&share) {
+                    return Err(StudioError::Request("a share is from 0 to 1"));
+                }
+                Operation::Appearance { id, appearance }
             }
-            Action::CutSpikes { cut } => Operation::CutSpikes { cut },
+            StudioAction::Transients { photo, region, how } => {
+                self.paint_transients(state, photo, &region, how)?
+            }
+            StudioAction::CutSpikes { cut } => Operation::CutSpikes { cut },
         };
         self.enter(state, JournalEntry::Apply(operation))
+    }
+
+    /// The name of a photo that has an appearance; empty for the scene's own.
+    fn lit_by(&self, photo: Option<usize>) -> Result<String, StudioError> {
+        let Some(photo) = photo else { return Ok(String::new()) };
+        self.check_photo(photo)?;
+        if self.session.model().appearance_index(Some(photo)) != photo {
+            return Err(StudioError::Request(
+                "this photo took no part in the training: it has no appearance",
+            ));
+        }
+        Ok(self.session.scene().views[photo].name.clone())
+    }
+
+    /// The operation that changes a photo's transient mask by a region.
+    fn paint_transients(
+        &self,
+        state: &StudioState,
+        photo: usize,
+        region: &Region,
+        how: Combination,
+    ) -> Result<Operation, StudioError> {
+        self.check_photo(photo)?;
+        if let Some(flaw) = region.flaw() {
+            return Err(StudioError::Request(flaw));
+        }
+        let view = &self.session.scene().views[photo];
+        if view.test {
+            return Err(StudioError::Request("this photo is held out: it is not trained on"));
+        }
+        let own = self.session.transient_mask(photo);
+        let before = match (state.document.objects().transients.get(&view.name), &own) {
+            (Some([_, before]), _) => before.clone(),
+            (None, Some(mask)) => state.store.put_mask(mask)?,
+            (None, None) => String::new(),
+        };
+        let (width, height) = match &own {
+            Some(mask) => (mask.width(), mask.height()),
+            None => (view.camera.width, view.camera.height),
+        };
+        let old = own.unwrap_or_else(|| Mask::empty(width, height));
+        let scale = [view.camera.width as f32 / width as f32, view.camera.height as f32 / height as f32];
+        let mask = Mask::from_fn(width, height, |x, y| {
+            let taken = [(x as f32 + 0.5) * scale[0], (y as f32 + 0.5) * scale[1]];
+            let inside = view.from_taken(taken).is_some_and(|at| region.holds(at.into()));
+            let mut pixel = [old.get(x, y)];
+            how.apply(&mut pixel, &[inside]);
+            pixel[0]
+        });
+        let mask = state.store.put_mask(&mask)?;
+        Ok(Operation::Transients { photo: view.name.clone(), mask, before })
+    }
+
+    /// Writes the transient masks that an operation, or its undoing, changes.
+    fn write_transients(&self, state: &StudioState, next: &Document) -> Result<(), StudioError> {
+        let (now, then) = (&state.document.objects().transients, &next.objects().transients);
+        for (name, [mask, before]) in now.iter().chain(then) {
+            let wanted = then.get(name).map_or(before, |[wanted, _]| wanted);
+            if now.get(name).map_or(before, |[present, _]| present) == wanted {
+                continue;
+            }
+            let lost = StudioError::Request("the mask of these transients is lost: paint it again");
+            let Some(photo) = self.photo_named(name) else { continue };
+            let empty = || self.session.transient_mask(photo).map(|m| Mask::empty(m.width(), m.height()));
+            let wanted = if wanted.is_empty() { empty() } else { state.store.mask(wanted) };
+            self.session.correct_transients(photo, &wanted.ok_or(lost)?)?;
+            let _ = mask;
+        }
+        Ok(())
+    }
+
+    /// The mask of a photo's transients, as labels of the photo's pixels.
+    ///
+    /// # Errors
+    /// When there is no such photo.
+    pub fn transients(&self, photo: usize) -> Result<LabelMap, StudioError> {
+        self.check_photo(photo)?;
+        let camera = self.session.working_camera(photo);
+        let revision = self.state().revision;
+        let taken = self.session.transient_mask(photo);
+        let mask = taken.map(|mask| self.session.scene().views[photo].mask_from_taken(mask));
+        let mask = mask.unwrap_or_else(|| Mask::empty(1, 1)).resized(camera.width, camera.height);
+        Ok(label_map(&mask, revision))
     }
 
     fn as_taken(&self, prompts: &[ShownPrompts]) -> Result<Vec<segwild_pipeline::PhotoPrompts>, StudioError> {
@@ -446,7 +531,7 @@ impl Studio {
     }
 
     /// The name of a new object: that of the listed one, or a number.
-    fn name_for(&self, draft: &Draft, id: ObjectId) -> String {
+    fn name_for(&self, draft: &ObjectDraft, id: ObjectId) -> String {
         let listed =
             draft.listed.as_ref().and_then(|query| self.listed.as_ref()?.objects.get(query.number - 1));
         let named = listed.map(|object| object.name.clone()).filter(|name| !name.is_empty());
@@ -469,7 +554,7 @@ impl Studio {
     }
 
     /// Cancels the answer that is being made, and starts the one to the present draft.
-    fn start_answer(self: &Arc<Self>, state: &mut State) {
+    fn start_answer(self: &Arc<Self>, state: &mut StudioState) {
         if let Some(stopper) = state.answer.stopper.take() {
             stopper.stop();
         }
@@ -492,7 +577,7 @@ impl Studio {
         }
     }
 
-    fn replay(&self, draft: &Draft) -> Replay {
+    fn replay(&self, draft: &ObjectDraft) -> Replay {
         let settings = SegmentSettings { alternative: draft.alternative, ..self.settings.clone() };
         Replay { prompts: draft.prompts.clone(), object: draft.listed.clone(), settings: Some(settings) }
     }
@@ -570,17 +655,7 @@ impl Studio {
                 inside: true,
             };
             let prompts = Prompts { points: vec![point], boxes: Vec::new(), granularity };
-            let mask = self.session.candidate_mask(photo, &prompts)?;
-            let (width, height) = (mask.width(), mask.height());
-            let labels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
-            let labels = labels.map(|(x, y)| u32::from(mask.get(x, y)));
-            let map = crate::fronts::FrontMap {
-                width: width as usize,
-                height: height as usize,
-                splats: labels.collect(),
-            };
-            let runs = map.runs(|inside| if inside == 1 { ANSWER_LABEL } else { 0 });
-            return Ok(Some(LabelMap { width: map.width, height: map.height, runs, revision: 0 }));
+            return Ok(Some(label_map(&self.session.candidate_mask(photo, &prompts)?, 0)));
         };
         let front = self.fronts.of(&self.session, photo)?;
         let leaf =
@@ -697,7 +772,10 @@ impl Studio {
         drop(state);
         let views = &self.session.scene().views;
         let mut parts = ShownParts {
-            appearance: appearance.map_or(objects.appearance.as_str(), |photo| &views[photo].name),
+            appearance: match appearance {
+                Some(photo) => BlendedAppearance { photo: views[photo].name.clone(), ..Default::default() },
+                None => objects.appearance.clone(),
+            },
             alone: objects.isolated.is_some(),
             ..ShownParts::default()
         };
@@ -720,8 +798,8 @@ impl Studio {
             if !objects.spikes && objects.isolated.is_none_or(|id| id == object.id) {
                 parts.cut.push(selected);
             }
-            if !object.appearance.is_empty() {
-                parts.appearances.push((&selected.labels, &object.appearance));
+            if let Some(own) = &object.appearance {
+                parts.appearances.push((&selected.labels, own));
             }
             if marks && object.visible && !isolated {
                 parts.highlights.push((&selected.labels, unit(COLOURS[usize::from(object.colour)])));
@@ -745,14 +823,11 @@ impl Studio {
     /// # Errors
     /// When there is no such photo, or it has no appearance.
     pub fn packed(&self, appearance: Option<usize>) -> Result<Vec<u8>, StudioError> {
-        let name = match appearance {
-            Some(photo) => {
-                self.check_photo(photo)?;
-                self.session.scene().views[photo].name.clone()
-            }
+        let appearance = match appearance {
+            Some(photo) => BlendedAppearance { photo: self.lit_by(Some(photo))?, ..Default::default() },
             None => self.state().document.objects().appearance.clone(),
         };
-        Ok(self.session.packed_splats(&name)?)
+        Ok(self.session.packed_splats(&appearance)?)
     }
 
     /// The photo that shows best what a pixel of a view shows; `None` where the pixel shows nothing.
@@ -773,7 +848,7 @@ impl Studio {
             cy: camera.cy - at.y.floor(),
             ..camera
         };
-        let front = crate::fronts::FrontMap::from(self.session.front_from(&one, &pose)?);
+        let front = FrontMap::from(self.session.front_from(&one, &pose)?);
         let Some(splat) = front.at(0.5, 0.5) else { return Ok(None) };
         let splats = &self.session.model().splats;
         // The point on the ray, at the splat's depth.
@@ -826,8 +901,60 @@ impl Studio {
             let objects = state.document.objects();
             (objects.get(id)?.clone(), objects.appearance.clone())
         };
-        let appearance = if object.appearance.is_empty() { &scene } else { &object.appearance };
-        Ok((object.name, self.session.object_ply(&selected, appearance)?))
+        let appearance = object.appearance.unwrap_or(scene);
+        Ok((object.name, self.session.object_ply(&selected, &appearance)?))
+    }
+
+    /// The names of the kept objects, and per splat of the scene the number of its object from 1, 0 for none.
+    fn numbered(&self) -> (Vec<String>, Vec<u8>) {
+        let mut state = self.state();
+        let all = state.document.objects().all.clone();
+        let mut labels = vec![0u8; self.session.model().splats.len()];
+        for (object, number) in all.iter().zip(1..) {
+            if let Some(selected) = state.store.get(&object.selection) {
+                mark(&mut labels, &selected.labels, number);
+            }
+        }
+        (all.into_iter().map(|object| object.name).collect(), labels)
+    }
+
+    /// The whole scene as a `.ply` whose property `object` numbers the kept objects.
+    ///
+    /// # Errors
+    /// When an appearance is gone.
+    pub fn labelled_ply(&self) -> Result<Vec<u8>, StudioError> {
+        let appearance = self.state().document.objects().appearance.clone();
+        Ok(self.session.labelled_ply(&self.numbered().1, &appearance)?)
+    }
+
+    /// The masks of all kept objects on all photos, as a COCO file.
+    ///
+    /// # Errors
+    /// When the scene cannot be rendered.
+    pub fn coco(&self) -> Result<Vec<u8>, StudioError> {
+        let (names, labels) = self.numbered();
+        Ok(self.session.coco_masks(&names, labels, &Stopper::new())?)
+    }
+
+    /// Writes an object as a selection of the run, as `segwild segment` does; returns the selection's name.
+    ///
+    /// # Errors
+    /// When tools made or changed the object, or a file cannot be written.
+    pub fn save(&self, id: ObjectId) -> Result<String, StudioError> {
+        let object = self.state().document.objects().get(id)?.clone();
+        if object.draft.is_empty() || object.edited {
+            return Err(StudioError::Request(
+                "a tool made or changed this object: its splats can be exported, but a selection of the run is made by prompts alone",
+            ));
+        }
+        let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
+        let name: String = object.name.chars().map(plain).collect();
+        let replay = self.replay(&object.draft);
+        let answer =
+            self.session.ask(&replay, &self.settings_of(&replay), &Stopper::new())?.wait(|_, _| ())?;
+        let selection = name.as_str();
+        self.session.save(selection, &answer)?;
+        Ok(name)
     }
 
     /// The sheet of the listed objects' thumbnails, as PNG.
@@ -852,11 +979,24 @@ impl Drop for Studio {
 const LOST: StudioError =
     StudioError::Request("the splats of this object are lost: refine it to ask for it again");
 
-fn store(state: &mut State, selected: Selected) -> Result<crate::document::StoredSelection, StudioError> {
+fn store(
+    state: &mut StudioState,
+    selected: Selected,
+) -> Result<crate::document::StoredSelection, StudioError> {
     if !selected.labels.contains(&true) {
         return Err(StudioError::Request("nothing would be left of the object"));
     }
     Ok(state.store.put(selected)?)
+}
+
+/// A mask as labels.
+fn label_map(mask: &Mask, revision: u64) -> LabelMap {
+    let (width, height) = (mask.width() as usize, mask.height() as usize);
+    let pixels = (0..height as u32).flat_map(|y| (0..width as u32).map(move |x| (x, y)));
+    let splats = pixels.map(|(x, y)| u32::from(mask.get(x, y))).collect();
+    let map = FrontMap { width, height, splats };
+    let runs = map.runs(|inside| if inside == 1 { ANSWER_LABEL } else { 0 });
+    LabelMap { width, height, runs, revision }
 }
 
 fn mark(to: &mut [u8], labels: &[bool], with: u8) {
@@ -879,7 +1019,8 @@ fn three_planes(mut image: Image) -> Image {
 /// Waits for an answer and shows its steps.
 fn answer(studio: &Weak<Studio>, number: u64, replay: &Replay, stopper: &Stopper) {
     let began = Instant::now();
-    let Some(asked) = studio.upgrade().map(|s| s.session.ask(replay, &s.settings_of(replay), stopper)) else {
+    let Some(pending) = studio.upgrade().map(|s| s.session.ask(replay, &s.settings_of(replay), stopper))
+    else {
         return;
     };
     let show = |change: &dyn Fn(&mut GrowingAnswer)| {
@@ -890,7 +1031,7 @@ fn answer(studio: &Weak<Studio>, number: u64, replay: &Replay, stopper: &Stopper
             });
         }
     };
-    let result = asked.and_then(|pending| {
+    let result = pending.and_then(|pending| {
         pending.wait(|step, labels| {
             show(&|answer| {
                 answer.message.step = Some(step);
@@ -927,8 +1068,8 @@ fn recover_one(studio: &Weak<Studio>, object: &KeptObject, of: Option<ObjectId>)
         return lost("a tool selected it, and the scene was trained again since");
     }
     let replay = studio.replay(&object.draft);
-    let asked = studio.session.ask(&replay, &studio.settings_of(&replay), &Stopper::new());
-    let answer = match asked.and_then(|pending| pending.wait(|_, _| ())) {
+    let pending = studio.session.ask(&replay, &studio.settings_of(&replay), &Stopper::new());
+    let answer = match pending.and_then(|pending| pending.wait(|_, _| ())) {
         Ok(answer) => answer,
         Err(error) => return lost(&error.to_string()),
     };
@@ -938,7 +1079,7 @@ fn recover_one(studio: &Weak<Studio>, object: &KeptObject, of: Option<ObjectId>)
         let objects = state.document.objects();
         let (id, name) = (of.unwrap_or(objects.next_id()), objects.free_name(&object.name));
         let draft = objects.draft.clone();
-        let keep = Operation::Keep { id, name, draft: Draft { of, ..object.draft.clone() }, selection };
+        let keep = Operation::Keep { id, name, draft: ObjectDraft { of, ..object.draft.clone() }, selection };
         studio.enter(state, JournalEntry::Apply(keep))?;
         // What a person was asking for stays.
         match draft.is_empty() {

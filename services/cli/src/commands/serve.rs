@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 use std::time::Duration;
 
-/// The port of the page, unless told otherwise.
+/// The usual port of the page.
 const PORT: u16 = 7777;
 
 /// The command's arguments.
@@ -89,7 +89,7 @@ pub fn page_of_run(matches: &ArgMatches, folder: &Path, json: bool) -> Result<Op
     if !matches.get_flag("serve") {
         return Ok(None);
     }
-    let server = on_loopback(folder, ServeOptions::default())?;
+    let server = on_loopback(folder, ServeOptions { program: own_program(), ..ServeOptions::default() })?;
     let line = format!("the page: {}", server.address());
     // With `--json` standard output has objects only.
     if json {
@@ -101,6 +101,11 @@ pub fn page_of_run(matches: &ArgMatches, folder: &Path, json: bool) -> Result<Op
         open_browser(&server.address());
     }
     Ok(Some(server))
+}
+
+/// This program, which trains again what a person corrects on the page.
+fn own_program() -> Option<PathBuf> {
+    std::env::current_exe().ok()
 }
 
 /// Keeps a page until Ctrl-C.
@@ -130,7 +135,7 @@ fn page(folder: &Path, listen: Option<SocketAddr>, matches: &ArgMatches) -> Resu
         )));
     }
     let token = token_file.map(|file| token_of(&file)).transpose()?;
-    let options = ServeOptions { address, token, ..ServeOptions::default() };
+    let options = ServeOptions { address, token, program: own_program(), ..ServeOptions::default() };
     Ok(if listen.is_some() { serve_page(folder, options)? } else { on_loopback(folder, options)? })
 }
 

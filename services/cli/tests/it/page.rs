@@ -88,3 +88,117 @@ fn other_machines_are_let_in_only_with_a_token_file_or_a_flag_that_says_so() {
     std::fs::write(&file, "short").expect("it can be written");
     refuses(&["serve", &run, "--token-file", &show(&file)], 2, &["16 letters"]);
 }
+
+#[test]
+fn a_program_clicks_and_saves_an_object_through_the_api() {
+    let dir = folder();
+    let run = show(&copied_run(&dir));
+    let client = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/guide/studio.py");
+    if !is_there("python3") {
+        println!("skipped: a_program_clicks_and_saves_an_object_through_the_api: Python is not installed");
+        return;
+    }
+    let (mut child, line) = served(&[&run, "--listen", "127.0.0.1:0"]);
+    let address = line.trim().trim_start_matches("the page: ").to_owned();
+    let (_, click) = clearest();
+    let at = format!("{},{}", click.x, click.y);
+    let python = |args: &[&str]| {
+        let output = Command::new("python3").arg(&client).args(args).current_dir(dir.path()).output();
+        output.expect("python starts")
+    };
+    let output = python(&[&address, &click.photo, &at, "--name", "statue"]);
+    assert!(output.status.success(), "{}{}", text(&output.stdout), text(&output.stderr));
+    assert!(text(&output.stdout).contains("splats"), "{}", text(&output.stdout));
+    let splats = segwild_scene::ply::read(&dir.path().join("statue.ply")).expect("an object");
+    assert!(!splats.is_empty());
+    // The same name again is another object; a wrong token is refused in words.
+    assert!(python(&[&address, &click.photo, &at, "--name", "statue"]).status.success());
+    let output = python(&[&(address + "0"), &click.photo, &at]);
+    assert!(text(&output.stderr).contains("has the token"), "{}", text(&output.stderr));
+    child.kill().expect("it runs");
+    child.wait().expect("it ends");
+}
+
+/// A request to a server whose first line is `line`; the answer's code and JSON.
+fn request(line: &str, method: &str, path: &str, body: &serde_json::Value) -> (u16, serde_json::Value) {
+    use std::io::{Read, Write};
+    let address = line.trim().trim_start_matches("the page: http://");
+    let (host, token) = address.split_once("/?token=").expect("an address");
+    let body = body.to_string();
+    let head = format!(
+        "{method} /api/v1{path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\nAuthorization: Bearer {token}\r\n\
+         Content-Length: {}\r\n\r\n{body}",
+        body.len()
+    );
+    let mut stream = std::net::TcpStream::connect(host).expect("it listens");
+    stream.write_all(head.as_bytes()).expect("it is sent");
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).expect("an answer");
+    let (head, body) = answer.split_once("\r\n\r\n").expect("a head and a body");
+    (head[9..12].parse().expect("a code"), json(body.as_bytes()))
+}
+
+#[test]
+fn a_scene_is_trained_without_corrected_transients_and_its_objects_come_back() {
+    let dir = folder();
+    let run = copied_run(&dir);
+    let name = run.file_name().expect("a name").to_string_lossy().into_owned();
+    let (mut child, line) = served(&[&show(&run), "--listen", "127.0.0.1:0"]);
+    let base = format!("/runs/{name}");
+    let get = |path: &str| request(&line, "GET", &format!("{base}{path}"), &serde_json::json!(null));
+    let act = |action: serde_json::Value| {
+        let (code, state) = request(&line, "POST", &format!("{base}/act"), &action);
+        assert_eq!(code, 200, "{state}");
+        state
+    };
+    let description = until("the session", || Some(get("")).filter(|(code, _)| *code == 200)).1;
+    let (_, click) = clearest();
+    let photos = description["photos"].as_array().expect("photos");
+    let photo = photos.iter().position(|p| p["name"] == click.photo.as_str()).expect("the photo");
+    let point = serde_json::json!({ "x": click.x, "y": click.y, "inside": true });
+    act(serde_json::json!({ "do": "prompt", "prompts": [{ "photo": photo, "points": [point] }] }));
+    until("the answer", || (get("/state").1["answer"]["state"] == "done").then_some(()));
+    act(serde_json::json!({ "do": "keep", "name": "statue" }));
+    let other = photos.iter().position(|p| p["held_out"] == false).expect("a photo that is trained on");
+    let side = |key: &str| photos[other]["camera"][key].as_f64().expect("a side");
+    let corner = [0.0, side("height") * 0.7];
+    let region = serde_json::json!({
+        "shape": "polygon",
+        "points": [corner, [side("width") * 0.4, corner[1]], [side("width") * 0.4, side("height")], [0.0, side("height")]],
+    });
+    let state =
+        act(serde_json::json!({ "do": "transients", "photo": other, "region": region, "how": "add" }));
+    assert_eq!(state["corrected"], serde_json::json!([other]));
+    let before = std::fs::read(run.join("model.bin")).expect("the scene");
+    assert_eq!(request(&line, "POST", &format!("{base}/train"), &serde_json::json!({})).0, 200);
+    let after = until("the objects of the new scene", || {
+        let (code, state) = get("/state");
+        let again = state["notes"].to_string().contains("trained again");
+        (code == 200 && again && state["objects"][0]["name"] == "statue").then_some(state)
+    });
+    assert!(after["objects"][0]["splats"].as_u64() > Some(0), "{after}");
+    assert!(std::fs::read(run.join("model.bin")).expect("the scene") != before, "it was trained on");
+    child.kill().expect("it runs");
+    child.wait().expect("it ends");
+}
+
+#[test]
+fn a_scene_of_a_batch_that_was_given_up_is_tried_again_from_the_page() {
+    let dir = folder();
+    let manifest = dir.path().join("scenes.toml");
+    std::fs::write(&manifest, "[[scene]]\npath = \"broken\"\nattempts = 1\n").expect("a manifest");
+    std::fs::create_dir(dir.path().join("broken")).expect("a folder that is no scene");
+    let out = show(&dir.path().join("batch"));
+    let given_up = segwild(&["batch", &show(&manifest), "--out", &out]);
+    assert_eq!(given_up.status.code(), Some(4), "{}", text(&given_up.stderr));
+    let (mut child, line) = served(&[&out, "--listen", "127.0.0.1:0"]);
+    let null = serde_json::json!(null);
+    let state = || request(&line, "GET", "/status", &null).1["scenes"][0]["state"].clone();
+    assert_eq!(state(), "dead");
+    assert_eq!(request(&line, "POST", "/scenes/nobody/retry", &null).0, 409);
+    assert_eq!(request(&line, "POST", "/scenes/broken/retry", &null).0, 200);
+    assert_eq!(state(), "waiting");
+    assert_eq!(request(&line, "POST", "/scenes/broken/retry", &null).0, 409);
+    child.kill().expect("it runs");
+    child.wait().expect("it ends");
+}

@@ -1,15 +1,16 @@
 //! All objects of a scene as files that other tools open.
 
 use super::coco::{CocoAnnotation, CocoCategory, CocoFile, CocoImage, CocoRle};
-use super::list::{ListRequest, ListedObjects};
-use super::{ObjectList, bounds, sheet};
+use super::list::ListedObjects;
+use super::{ObjectList, SceneObject, bounds, sheet};
 use crate::settings::AT_ONCE;
 use crate::{RunError, Session, light};
 use rayon::prelude::*;
 use segwild_flow::{Phase, Stopper, files};
 use segwild_scene::Mask;
 use segwild_scene::ply::Export;
-use segwild_segmenter::scene_tree::PartMap;
+use segwild_segmenter::PosedView;
+use segwild_segmenter::scene_tree::{PartMap, SceneParts};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -43,7 +44,8 @@ pub fn export_objects(
     }
     let request = session.list_request()?;
     let in_colour = light::shown(request.scene, request.model, appearance)?;
-    let coco = annotations(&request, listed, stopper)?;
+    let names: Vec<String> = listed.list.objects.iter().map(SceneObject::label).collect();
+    let coco = annotations(session, &names, &listed.parts, stopper)?;
     files::write_folder(out, |aside| -> Result<(), RunError> {
         let json = |name: &str, value: serde_json::Result<Vec<u8>>| -> Result<(), RunError> {
             let path = aside.join(name);
@@ -66,34 +68,45 @@ pub fn export_objects(
     Ok(ExportedObjects { folder: out.to_owned(), objects, masks: coco.annotations.len() })
 }
 
-/// The masks of all objects on all photos, in pixels of the photos as taken.
+/// The masks of named objects on all photos, as the bytes of a COCO file. `labels`: per splat, the number of its object from 1,
+/// 0 for none.
+pub(crate) fn coco_masks(
+    session: &Session,
+    names: &[String],
+    labels: Vec<u8>,
+    stopper: &Stopper,
+) -> Result<Vec<u8>, RunError> {
+    let parts = SceneParts { groups: Vec::new(), labels };
+    let file = annotations(session, names, &parts, stopper)?;
+    serde_json::to_vec(&file).map_err(|e| RunError::Request(e.to_string()))
+}
+
+/// The masks of named parts on all photos, in pixels of the photos as taken.
 fn annotations(
-    request: &ListRequest,
-    listed: &ListedObjects,
+    session: &Session,
+    names: &[String],
+    parts: &SceneParts,
     stopper: &Stopper,
 ) -> Result<CocoFile, RunError> {
+    let (scene, model) = (session.scene(), session.model());
     let mut file = CocoFile::default();
-    file.categories.extend(listed.list.objects.iter().map(|object| CocoCategory {
-        id: object.number,
-        name: object.label(),
+    file.categories.extend(names.iter().zip(1..).map(|(name, id)| CocoCategory {
+        id,
+        name: name.clone(),
         supercategory: "object",
     }));
-    let views: Vec<usize> = (0..request.scene.views.len()).collect();
+    let views: Vec<usize> = (0..scene.views.len()).collect();
     // Masks have the photos' full size: only a few photos at once fit into memory.
     for some in views.chunks(rayon::current_num_threads().min(AT_ONCE)) {
         if stopper.phase() != Phase::Running {
             return Err(RunError::Interrupted);
         }
         let masks_of = |&index: &usize| -> Result<Vec<(usize, Mask)>, RunError> {
-            let view = &request.scene.views[index];
-            let map = PartMap::render(
-                &request.model.splats,
-                &request.model.options(),
-                &request.posed(index),
-                &listed.parts,
-            )?;
+            let view = &scene.views[index];
+            let posed = PosedView { camera: session.working_camera(index), ..view.into() };
+            let map = PartMap::render(&model.splats, &model.options(), &posed, parts)?;
             let counts = map.counts();
-            let present = (1..=listed.list.objects.len()).filter(|&number| counts.get(number) > Some(&0));
+            let present = (1..=names.len()).filter(|&number| counts.get(number) > Some(&0));
             let large = |number: usize| {
                 view.mask_to_taken(map.enlarged(number as u8, view.camera.width, view.camera.height))
             };
@@ -101,7 +114,7 @@ fn annotations(
         };
         let masks: Vec<Vec<(usize, Mask)>> = some.par_iter().map(masks_of).collect::<Result<_, _>>()?;
         for (&index, masks) in some.iter().zip(masks) {
-            let view = &request.scene.views[index];
+            let view = &scene.views[index];
             let (width, height) = (view.camera.width, view.camera.height);
             file.images.push(CocoImage { id: index + 1, file_name: view.name.clone(), width, height });
             for (number, mask) in masks {

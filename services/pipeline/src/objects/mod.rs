@@ -6,6 +6,7 @@ mod list;
 mod sheet;
 mod tree;
 
+pub(crate) use export::coco_masks;
 pub use export::{ExportedObjects, export_objects, list_objects};
 pub(crate) use list::ListRequest;
 pub use list::{ListedObjects, ObjectList, SceneObject};

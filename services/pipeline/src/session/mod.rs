@@ -38,7 +38,7 @@ use crate::{
     transients,
 };
 use segwild_flow::{
-    ActorOptions, Ledger, Limits, Observer, Phase, Receiver, Sender, Stopper, System, SystemOptions, mailbox,
+    ActorOptions, Limits, Observer, Phase, Receiver, Sender, Stopper, System, SystemOptions, mailbox,
 };
 use segwild_raster::Engine;
 use segwild_scene::{Image, Prompts, Scene};
@@ -98,7 +98,8 @@ impl Session {
     /// # Errors
     /// When the run cannot be read, or `options.stopper` stops it.
     pub fn open(folder: &RunFolder, options: SessionOptions) -> Result<Session, RunError> {
-        let training = trained_by(folder);
+        // Clicks do without a tree where no ledger names the training.
+        let training = folder.training_key();
         Session::of(folder, folder.load()?, training, options)
     }
 
@@ -409,12 +410,6 @@ impl PendingAnswer {
 
 fn failed(reason: String) -> RunError {
     RunError::Stage { stage: "segment", reason }
-}
-
-/// The key of the training that the run's scene is of; `None` where no ledger names it: clicks do without a tree then.
-fn trained_by(folder: &RunFolder) -> Option<String> {
-    let stages = Ledger::open_read_only(folder.ledger()).and_then(|ledger| ledger.stages()).ok()?;
-    stages.into_iter().find(|stage| stage.name == "geometry").map(|stage| stage.key)
 }
 
 /// The error with its position in the prompts' coordinates: pixels of the photo as taken, at full size.

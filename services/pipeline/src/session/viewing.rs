@@ -1,11 +1,13 @@
 //! What a person sees of a session: photos, the scene from any camera, and files of objects.
 
 use super::{Answer, Selected, Session};
-use crate::light::{self, requested};
+use crate::light::{self, BlendedAppearance};
 use crate::render::{HIGHLIGHT, NOTHING, over_white};
-use crate::{PhotoPrompts, RunError};
+use crate::{PhotoPrompts, RunError, transients};
+use segwild_flow::Stopper;
 use segwild_raster::{Channels, CpuEngine, FrontLayer};
-use segwild_scene::{BoxPrompt, Camera, Image, Mask, PointPrompt, Pose, Prompts};
+use segwild_scene::ply::Export;
+use segwild_scene::{BoxPrompt, Camera, Image, Mask, PointPrompt, Pose, Prompts, Splats};
 use segwild_trainer::{Model, SceneLighting, render_lit};
 
 /// Numbers per splat that a highlight blends: colour times share, and share.
@@ -14,10 +16,10 @@ const HIGHLIGHT_CHANNELS: usize = 4;
 /// What is shown of a scene.
 #[derive(Clone, Debug, Default)]
 pub struct ShownParts<'a> {
-    /// Photo whose appearance the scene has; empty for the scene's own.
-    pub appearance: &'a str,
-    /// Objects with appearances of their own: per splat whether it belongs to the object, and the photo's name.
-    pub appearances: Vec<(&'a [bool], &'a str)>,
+    /// The appearance of the scene.
+    pub appearance: BlendedAppearance,
+    /// Objects with appearances of their own: per splat whether it belongs to the object, and its appearance.
+    pub appearances: Vec<(&'a [bool], &'a BlendedAppearance)>,
     /// Per splat, whether it is left out; empty where all are shown.
     pub hidden: Vec<bool>,
     /// Whether what is shown stands before white instead of before the scene's background.
@@ -138,13 +140,9 @@ impl Session {
                 highlight = keep.iter().flat_map(row).copied().collect();
             }
         }
-        let light = |photo: &str| {
-            let light = requested(photo).lights(&self.scene, &model)?.at(0.0);
-            Ok::<_, RunError>(light.unwrap_or_else(|| model.light(None)))
-        };
-        let scene = light(parts.appearance)?;
+        let scene = parts.appearance.light(&self.scene, &model)?;
         let of_objects = labels.into_iter().zip(&parts.appearances);
-        let objects = of_objects.map(|(labels, (_, photo))| Ok((labels, light(photo)?)));
+        let objects = of_objects.map(|(labels, (_, of))| Ok((labels, of.light(&self.scene, &model)?)));
         let objects = objects.collect::<Result<_, RunError>>()?;
         let lighting = SceneLighting { scene, objects };
         Ok(ShownScene { model, lighting, alone: parts.alone, highlight })
@@ -194,8 +192,8 @@ impl Session {
     ///
     /// # Errors
     /// When the photo `appearance` is unknown or took no part in the training.
-    pub fn packed_splats(&self, appearance: &str) -> Result<Vec<u8>, RunError> {
-        let splats = light::shown(&self.scene, &self.model, appearance)?;
+    pub fn packed_splats(&self, appearance: &BlendedAppearance) -> Result<Vec<u8>, RunError> {
+        let splats = self.in_colour(appearance)?;
         let n = splats.len();
         let head = [n as u32, splats.sh_degree, u32::from(self.model.antialias)];
         let mut bytes = Vec::with_capacity(12 + 4 * (10 * n + splats.sh.len()));
@@ -211,15 +209,60 @@ impl Session {
         Ok(bytes)
     }
 
-    /// The splats of an object, its spikes cut, as the bytes of a `.ply` for other programs. Colours have the appearance of
-    /// the photo `appearance`, or the scene's own if it is empty.
+    /// The splats with the colours of an appearance.
+    fn in_colour(&self, appearance: &BlendedAppearance) -> Result<Splats, RunError> {
+        Ok(self.model.baked(&appearance.light(&self.scene, &self.model)?.into()))
+    }
+
+    /// The splats of an object, its spikes cut, as the bytes of a `.ply` for other programs.
     ///
     /// # Errors
-    /// When the photo is unknown or took no part in the training.
-    pub fn object_ply(&self, selected: &Selected, appearance: &str) -> Result<Vec<u8>, RunError> {
-        let in_colour = selected.cut_scene(&light::shown(&self.scene, &self.model, appearance)?);
+    /// When a photo of the appearance is unknown or took no part in the training.
+    pub fn object_ply(
+        &self,
+        selected: &Selected,
+        appearance: &BlendedAppearance,
+    ) -> Result<Vec<u8>, RunError> {
+        let in_colour = selected.cut_scene(&self.in_colour(appearance)?);
         let keep: Vec<usize> = (0..in_colour.len()).filter(|&i| selected.labels[i]).collect();
         Ok(light::export(&self.scene, &self.model).to_bytes(&in_colour.select(&keep)))
+    }
+
+    /// The whole scene as the bytes of a `.ply`; the property `object` of a splat is its number in `labels`, 0 for none.
+    ///
+    /// # Errors
+    /// When a photo of the appearance is unknown or took no part in the training.
+    pub fn labelled_ply(&self, labels: &[u8], appearance: &BlendedAppearance) -> Result<Vec<u8>, RunError> {
+        let extra: &[(&str, &[u8])] = &[("object", labels)];
+        let export = Export { extra, ..light::export(&self.scene, &self.model) };
+        Ok(export.to_bytes(&self.in_colour(appearance)?))
+    }
+
+    /// The masks of named objects on all photos, as a COCO file with compressed run lengths, in pixels of the photos as taken.
+    /// `labels`: per splat, the number of its object from 1, 0 for none.
+    ///
+    /// # Errors
+    /// When the scene cannot be rendered, or `stopper` stops it.
+    pub fn coco_masks(
+        &self,
+        names: &[String],
+        labels: Vec<u8>,
+        stopper: &Stopper,
+    ) -> Result<Vec<u8>, RunError> {
+        crate::objects::coco_masks(self, names, labels, stopper)
+    }
+
+    /// The mask of a photo's transients, as taken; `None` where the photo has none.
+    pub fn transient_mask(&self, view: usize) -> Option<Mask> {
+        transients::read_image(&self.folder, &self.scene, view)
+    }
+
+    /// Writes a person's mask of a photo's transients, as taken: the next run trains without what it marks.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn correct_transients(&self, view: usize, mask: &Mask) -> Result<(), RunError> {
+        transients::write_image(&self.folder, &self.scene, view, mask)
     }
 }
 

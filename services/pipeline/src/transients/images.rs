@@ -33,6 +33,21 @@ pub(crate) fn of_run(
     }
 }
 
+/// The mask image of a photo's transients, as taken; `None` where there is none or it cannot be read.
+pub(crate) fn read_image(folder: &RunFolder, scene: &Scene, view: usize) -> Option<Mask> {
+    Mask::read_png(&image_files(scene).find(&folder.path().join(FOLDER), view)).ok()
+}
+
+/// Writes a person's mask of a photo's transients, as taken. One with the pixels of this program's own is no correction.
+pub(crate) fn write_image(
+    folder: &RunFolder,
+    scene: &Scene,
+    view: usize,
+    mask: &Mask,
+) -> Result<(), RunError> {
+    Ok(mask.write_png(&image_files(scene).find(&folder.path().join(FOLDER), view))?)
+}
+
 /// The damaged mask images of a run, a sentence each. Their photos are used without a mask.
 pub(crate) fn damaged(folder: &RunFolder, scene: &Scene) -> Vec<String> {
     let (own, files) = (folder.path().join(FOLDER), image_files(scene));

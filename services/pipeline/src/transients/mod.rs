@@ -24,6 +24,6 @@ mod visibility;
 pub use authorship::TrainFit;
 pub(crate) use corrections::Corrections;
 pub(crate) use finding::KnownTransients;
-pub(crate) use images::{TransientMaskWriter, damaged, of_run};
+pub(crate) use images::{TransientMaskWriter, damaged, of_run, read_image, write_image};
 pub use scoring::{TransientScore, TransientScores, score_transients};
 pub(crate) use visibility::visibility;

@@ -4,9 +4,11 @@ mod journal;
 mod operation;
 
 pub use journal::{Journal, JournalEntry, JournalError, JournalStart};
-pub use operation::{Draft, ObjectId, Operation, StoredSelection};
+pub use operation::{ObjectDraft, ObjectId, Operation, StoredSelection};
 
+use segwild_pipeline::BlendedAppearance;
 use serde::Serialize;
+use std::collections::BTreeMap;
 
 /// Colours that objects have.
 pub const PALETTE: usize = 12;
@@ -59,10 +61,10 @@ pub struct KeptObject {
     pub visible: bool,
     /// Whether it is locked.
     pub locked: bool,
-    /// The photo whose appearance it has; empty where it has the scene's.
-    pub appearance: String,
+    /// Its own appearance; `None` where it has the scene's.
+    pub appearance: Option<BlendedAppearance>,
     /// What was asked for; empty where a tool selected it.
-    pub draft: Draft,
+    pub draft: ObjectDraft,
     /// Whether tools changed its splats after the answer.
     pub edited: bool,
     /// Its splats.
@@ -73,13 +75,15 @@ pub struct KeptObject {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Objects {
     /// What is being asked for.
-    pub draft: Draft,
+    pub draft: ObjectDraft,
     /// The objects, by their numbers.
     pub all: Vec<KeptObject>,
     /// The one that is shown alone.
     pub isolated: Option<ObjectId>,
-    /// The photo whose appearance the scene has; empty for its own.
-    pub appearance: String,
+    /// The appearance of the scene.
+    pub appearance: BlendedAppearance,
+    /// Masks of transients that were changed, by photo: the present one, and the one before any change.
+    pub transients: BTreeMap<String, [String; 2]>,
     /// Whether spikes are shown as they were before the cut.
     pub spikes: bool,
     /// The next object's number.
@@ -141,15 +145,15 @@ impl Objects {
         Ok(())
     }
 
-    fn new_object(id: ObjectId, name: &str, draft: &Draft, selection: &StoredSelection) -> KeptObject {
+    fn new_object(id: ObjectId, name: &str, draft: &ObjectDraft, selection: &StoredSelection) -> KeptObject {
         KeptObject {
             id,
             name: name.to_owned(),
             colour: ((id.max(1) - 1) % PALETTE as u32) as u8,
             visible: true,
             locked: false,
-            appearance: String::new(),
-            draft: Draft { of: None, ..draft.clone() },
+            appearance: None,
+            draft: ObjectDraft { of: None, ..draft.clone() },
             edited: false,
             selection: selection.clone(),
         }
@@ -171,15 +175,15 @@ impl Objects {
                 match draft.of {
                     Some(of) => {
                         let object = self.unlocked(of)?;
-                        object.draft = Draft { of: None, ..draft.clone() };
+                        object.draft = ObjectDraft { of: None, ..draft.clone() };
                         (object.selection, object.edited) = (selection.clone(), false);
                     }
                     None => self.add(Objects::new_object(*id, name, draft, selection))?,
                 }
-                self.draft = Draft::default();
+                self.draft = ObjectDraft::default();
             }
             Operation::Paint { id, name, selection } => {
-                let object = Objects::new_object(*id, name, &Draft::default(), selection);
+                let object = Objects::new_object(*id, name, &ObjectDraft::default(), selection);
                 self.add(KeptObject { edited: true, ..object })?;
             }
             Operation::Edit { id, selection, .. } => {
@@ -212,7 +216,7 @@ impl Objects {
                     self.isolated = None;
                 }
                 if self.draft.of == Some(*id) {
-                    self.draft = Draft::default();
+                    self.draft = ObjectDraft::default();
                 }
             }
             Operation::Duplicate { id, copy, name } => {
@@ -220,10 +224,19 @@ impl Objects {
                 let colour = ((copy.max(&1) - 1) % PALETTE as u32) as u8;
                 self.add(KeptObject { id: *copy, name: name.clone(), colour, locked: false, ..object })?;
             }
-            Operation::Appearance { id, photo } => match id {
-                Some(id) => self.unlocked(*id)?.appearance.clone_from(photo),
-                None => self.appearance.clone_from(photo),
+            Operation::Appearance { id, appearance } => match id {
+                Some(id) => {
+                    let own = *appearance != BlendedAppearance::default();
+                    self.unlocked(*id)?.appearance = own.then(|| appearance.clone());
+                }
+                None => self.appearance.clone_from(appearance),
             },
+            Operation::Transients { photo, mask, before } => {
+                self.transients
+                    .entry(photo.clone())
+                    .and_modify(|masks| masks[0].clone_from(mask))
+                    .or_insert_with(|| [mask.clone(), before.clone()]);
+            }
             Operation::CutSpikes { cut } => self.spikes = !cut,
         }
         Ok(())

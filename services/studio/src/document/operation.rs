@@ -1,6 +1,6 @@
 //! What a person does to the objects of a scene.
 
-use segwild_pipeline::{ObjectQuery, PhotoPrompts};
+use segwild_pipeline::{BlendedAppearance, ObjectQuery, PhotoPrompts};
 use serde::{Deserialize, Serialize};
 
 /// The number of an object. It stays when the name changes, and is never used again.
@@ -8,7 +8,7 @@ pub type ObjectId = u32;
 
 /// What is being asked for.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Draft {
+pub struct ObjectDraft {
     /// Clicks and boxes, in pixels of the photos as taken.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub prompts: Vec<PhotoPrompts>,
@@ -23,7 +23,7 @@ pub struct Draft {
     pub of: Option<ObjectId>,
 }
 
-impl Draft {
+impl ObjectDraft {
     /// Whether nothing is asked for.
     pub fn is_empty(&self) -> bool {
         self.prompts.is_empty() && self.listed.is_none()
@@ -46,16 +46,16 @@ pub enum Operation {
     /// Asks for something else.
     Draft {
         /// All of what is asked for now.
-        draft: Draft,
+        draft: ObjectDraft,
     },
     /// Keeps the answer as an object.
     Keep {
-        /// The object; a new number, or that of [`Draft::of`].
+        /// The object; a new number, or that of [`ObjectDraft::of`].
         id: ObjectId,
         /// The name of a new object.
         name: String,
         /// What was asked for.
-        draft: Draft,
+        draft: ObjectDraft,
         /// The answer.
         selection: StoredSelection,
     },
@@ -128,8 +128,17 @@ pub enum Operation {
     Appearance {
         /// The object; `None` is the scene.
         id: Option<ObjectId>,
-        /// The photo whose appearance it is; empty for the scene's own.
+        /// The appearance.
+        appearance: BlendedAppearance,
+    },
+    /// Changes the mask of a photo's transients.
+    Transients {
+        /// The photo.
         photo: String,
+        /// Name of the mask in the session's folder.
+        mask: String,
+        /// Name of the mask as it was before a person changed it; empty where there was none.
+        before: String,
     },
     /// Shows objects with their spikes cut, or as they were.
     CutSpikes {
@@ -158,6 +167,7 @@ impl Operation {
             Operation::Delete { .. } => "delete",
             Operation::Duplicate { .. } => "duplicate",
             Operation::Appearance { .. } => "appearance",
+            Operation::Transients { .. } => "paint transients",
             Operation::CutSpikes { .. } => "spike cut",
         }
     }

@@ -12,15 +12,16 @@
  * @typedef {{name: string, provider: string, splats: number, size: number, photos: Photo[], centre: number[], up: number[],
  *   listed: Listed[], palette: number[][], tree: boolean, snapshot: number | null}} Description
  */
+/** @typedef {{photo: number | null, towards: number | null, share: number}} Appearance */
 /**
- * @typedef {{id: number, name: string, colour: number, visible: boolean, locked: boolean, appearance: number | null,
+ * @typedef {{id: number, name: string, colour: number, visible: boolean, locked: boolean, appearance: Appearance | null,
  *   splats: number, selection: string, prompted: boolean, edited: boolean}} Item
  */
 /**
  * @typedef {{revision: number,
  *   draft: {prompts: Prompts[], listed: number | null, of: number | null, alternative: number},
  *   answer: {number: number, state: string, step: any, splats: number, alternatives: any[], error: string | null, seconds: number},
- *   objects: Item[], isolated: number | null, appearance: number | null, cut_spikes: boolean,
+ *   objects: Item[], isolated: number | null, appearance: Appearance, corrected: number[], cut_spikes: boolean,
  *   undo: string | null, redo: string | null, notes: string[]}} State
  */
 
@@ -98,6 +99,16 @@ export class Run {
   /** @param {number} photo @param {number} size */
   photo(photo, size) {
     return `${this.base}/photos/${photo}?size=${size}`;
+  }
+
+  /** @param {number} photo @returns {Promise<LabelMap>} */
+  transients(photo) {
+    return getJson(`${this.base}/photos/${photo}/transients`);
+  }
+
+  /** Writes an object as a selection of the run. @param {number} id @returns {Promise<{selection: string}>} */
+  async save(id) {
+    return (await this.post(`objects/${id}/save`, {})).json();
   }
 
   /** @param {string} path */

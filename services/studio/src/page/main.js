@@ -6,6 +6,7 @@ import { Side, element } from "./objects.js";
 import { LEVELS, PhotoPane, Strip } from "./photos.js";
 import { ScenePane } from "./scene.js";
 import { actionOf, keysOf, shortcuts, shown } from "./shortcuts.js";
+import { StatusPane } from "./status.js";
 import { text } from "./strings.js";
 
 /** @typedef {import("./api.js").State} State */
@@ -35,6 +36,10 @@ export class App {
     this.level = /** @type {number | null} */ (null);
     this.item = /** @type {number | null} */ (null);
     this.radius = 0.02;
+    /** The object that is being kept, -1 for a new one. @type {number | null} */
+    this.keeping = null;
+    /** Whether the photo shows its transients, and tools paint them. */
+    this.transients = false;
     this.view = "both";
     /** Keys that are down. @type {Set<string>} */
     this.held = new Set();
@@ -48,6 +53,7 @@ export class App {
     this.strip = new Strip(this);
     this.scenePane = new ScenePane(this);
     this.side = new Side(this);
+    this.statusPane = new StatusPane(this);
   }
 
   /** @param {string} what */
@@ -88,7 +94,7 @@ export class App {
         if (run !== this.run) return;
         const state = error instanceof Refused ? error.body?.state : null;
         this.say(state === "training" ? text("training") : state === "opening" ? text("opening") : String(/** @type {any} */ (error).message), true);
-        if (state === "training") await this.showStatus();
+        if (state === "training" && this.view !== "status") this.setView("status");
         await new Promise(done => setTimeout(done, state === "training" ? 10 * AGAIN : AGAIN));
       }
     }
@@ -137,6 +143,11 @@ export class App {
   update(state) {
     if (this.state && state.revision < this.state.revision) return;
     const moved = state.revision !== this.state?.revision;
+    // What this page keeps is selected as soon as it is there, whichever way the state came.
+    if (this.keeping !== null && (this.keeping > 0 || state.objects.length > (this.state?.objects.length ?? 0))) {
+      this.item = this.keeping > 0 ? this.keeping : state.objects.at(-1)?.id ?? null;
+      this.keeping = null;
+    }
     this.state = state;
     if (this.item !== null && !state.objects.some(item => item.id === this.item)) this.item = null;
     this.side.update();
@@ -144,6 +155,7 @@ export class App {
     this.photoPane.update();
     this.strip.update();
     if (moved) this.scenePane.redraw();
+    of("train").hidden = !state.corrected.length;
     document.body.dataset.answer = state.answer.state;
   }
 
@@ -152,6 +164,7 @@ export class App {
     try {
       this.update(await this.run.act(action));
     } catch (error) {
+      this.keeping = null;
       this.failed(error);
     }
   }
@@ -186,7 +199,7 @@ export class App {
     for (const button of of("views").querySelectorAll("button")) {
       button.setAttribute("aria-pressed", String(button.dataset.view === view));
     }
-    if (view === "status") this.showStatus();
+    if (view === "status") this.statusPane.show();
     if (!this.description) return;
     this.photoPane.layout();
     this.photoPane.update();
@@ -200,7 +213,7 @@ export class App {
       button.setAttribute("aria-pressed", String(button.dataset.tool === tool));
     }
     this.photoPane.clearCandidate();
-    if (tool !== "prompt" && this.item === null) this.say(text("region_new"));
+    if (tool !== "prompt" && this.item === null && !this.transients) this.say(text("region_new"));
   }
 
   makeTools() {
@@ -338,6 +351,9 @@ export class App {
     };
     /** @type {{shape: string, points?: number[][], at?: number[], radius?: number}} */
     const region = shapes[/** @type {keyof typeof shapes} */ (tool)];
+    const ctrl = event.ctrlKey || event.metaKey;
+    const how = ctrl && event.shiftKey ? "intersect" : ctrl ? "subtract" : "add";
+    if (this.transients && region.shape !== "sphere") return this.act({ do: "transients", photo: this.photo, region, how });
     // A photo may be larger than a view that the server renders.
     const long = Math.max(view.camera.width, view.camera.height), s = Math.min(1, 1024 / long);
     const camera = { ...view.camera, width: Math.round(view.camera.width * s), height: Math.round(view.camera.height * s) };
@@ -346,8 +362,6 @@ export class App {
     if (region.points) region.points = region.points.map(small);
     if (region.at) region.at = small(region.at);
     if (region.radius) region.radius *= s;
-    const ctrl = event.ctrlKey || event.metaKey;
-    const how = ctrl && event.shiftKey ? "intersect" : ctrl ? "subtract" : "add";
     this.act({ do: "region", id: this.item, view: { ...view, camera }, region, how, rule: this.rule });
   }
 
@@ -384,7 +398,11 @@ export class App {
     const step = 0.06;
     /** @type {Record<string, () => unknown>} */
     const acts = {
-      keep: () => state?.answer.splats && this.act({ do: "keep" }).then(() => this.select(this.state?.objects.at(-1)?.id ?? null)),
+      keep: () => {
+        if (!state?.answer.splats) return;
+        this.keeping = state.draft.of ?? -1;
+        return this.act({ do: "keep" });
+      },
       drop: () => {
         if (state?.draft.prompts.length || state?.draft.listed !== null) return this.act({ do: "prompt", prompts: [] });
         if (state?.isolated !== null) return this.act({ do: "isolate", id: null });
@@ -419,6 +437,8 @@ export class App {
         of("marks").setAttribute("aria-pressed", String(scenePane.marks));
         scenePane.redraw();
       },
+      transients: () => this.showTransients(!this.transients),
+      train: () => this.run.post("train", {}).then(() => this.say(text("trained_again")), error => this.failed(error)),
       drawn_by: () => scenePane.switchDrawer(),
       cursor_left: () => photoPane.moveCursor(-1, 0), cursor_right: () => photoPane.moveCursor(1, 0),
       cursor_up: () => photoPane.moveCursor(0, -1), cursor_down: () => photoPane.moveCursor(0, 1),
@@ -431,6 +451,16 @@ export class App {
     };
     for (const tool of TOOLS) acts[`tool_${tool}`] = () => this.setTool(tool);
     acts[act]?.();
+  }
+
+  /** Shows the transients of photos, for tools to paint them. @param {boolean} shown */
+  showTransients(shown) {
+    this.transients = shown;
+    of("transients").setAttribute("aria-pressed", String(shown));
+    if (shown && this.tool === "prompt") this.setTool("brush");
+    else if (!shown) this.setTool("prompt");
+    if (shown) this.say(text("transients_how"));
+    this.photoPane.update();
   }
 
   showKeys() {
@@ -446,25 +476,8 @@ export class App {
 
   /** Shows how far the run or the batch is, as operators see it. */
   async showStatus() {
-    if (this.view !== "status" && this.description) return;
     if (this.view !== "status") this.setView("status");
-    const view = await getJson("/api/v1/status").catch(() => null), pane = of("status");
-    if (!view) return pane.replaceChildren(element("p", {}, text("no_status")));
-    const runs = view.Run ? [view.Run] : view.stages ? [view] : view.scenes ?? view.Batch?.scenes ?? [];
-    const blocks = runs.map((/** @type {any} */ run) => {
-      const view = run.run ?? run, stages = view.stages ?? [];
-      const rows = stages.map((/** @type {any} */ s) => {
-        const share = s.total ? s.done / s.total : Number(s.state === "done");
-        const bar = element("progress", { max: 1, value: share, "aria-label": s.name });
-        return element("tr", {}, element("th", { scope: "row" }, s.name), element("td", {}, s.state), element("td", {}, bar, ` ${s.done ?? ""}/${s.total ?? ""}`), element("td", {}, s.why ?? ""));
-      });
-      const head = ["status_stage", "status_state", "status_done", "status_waits"].map(name => element("th", { scope: "col" }, text(name)));
-      return element("section", {}, element("h2", {}, String(view.folder ?? run.name ?? "")),
-        element("table", {}, element("thead", {}, element("tr", {}, ...head)), element("tbody", {}, ...rows)));
-    });
-    pane.replaceChildren(...blocks);
-    clearTimeout(this.statusTimer);
-    if (this.view === "status") this.statusTimer = setTimeout(() => this.view === "status" && this.showStatus(), 2000);
+    else await this.statusPane.show();
   }
 }
 

@@ -106,15 +106,16 @@ export class Side {
     const spikes = element("label", { className: "row" },
       element("input", { type: "checkbox", id: "spikes", checked: state.cut_spikes, click: () => app.act({ do: "cut_spikes", cut: !state.cut_spikes }) }),
       text("spikes"));
-    const light = state.appearance === null
-      ? button(text("scene_appearance"), text("scene_appearance"), () => app.act({ do: "appearance", id: null, photo: app.photo }), { id: "scene-light" })
-      : button(text("scene_appearance_own"), text("scene_appearance_own"), () => app.act({ do: "appearance", id: null, photo: null }), { id: "scene-light" });
     const parts = [element("h2", {}, text("objects"))];
     if (!rows.length) parts.push(element("p", { className: "quiet" }, text("no_objects")));
     if (state.isolated !== null) {
       parts.push(button(text("show_all"), text("show_all"), () => app.act({ do: "isolate", id: null }), { id: "show-all" }));
     }
-    parts.push(element("ul", {}, ...rows), element("div", { className: "row" }, spikes, light));
+    parts.push(element("ul", {}, ...rows), spikes, this.blend());
+    if (rows.length) {
+      const file = (/** @type {string} */ name) => element("a", { href: `${app.run.base}/export/${name}`, download: "" }, name);
+      parts.push(element("p", { className: "row" }, text("exports"), file("labels.ply"), file("coco.json")));
+    }
     of("objects").replaceChildren(...parts);
     if (focus) /** @type {HTMLElement | null} */ (document.querySelector(`[data-focus="${focus}"]`))?.focus();
     if (this.renaming !== null) /** @type {HTMLInputElement | null} */ (document.getElementById("new-name"))?.select();
@@ -153,7 +154,6 @@ export class Side {
         choice.addEventListener("change", () => act("combine", { with: +choice.value, how: verb }));
         return choice;
       };
-      const own = item.appearance !== null;
       tools.append(
         small(item.locked ? "unlock" : "lock", () => act("lock", { locked: !item.locked })),
         small("rename", () => this.rename(item.id)),
@@ -161,11 +161,38 @@ export class Side {
         small("copy", () => act("duplicate"), { label: "duplicate" }),
         small("grow", () => act("grow", { steps: 1 })),
         small("shrink", () => act("grow", { steps: -1 })),
-        small(own ? "appearance_own" : "appearance", () => act("appearance", { photo: own ? null : app.photo })),
+        ...(item.prompted && !item.edited ? [small("save", () => this.save(item))] : []),
         ...((state?.objects.length ?? 0) > 1 ? [pair("union"), pair("subtract")] : []),
         small("delete", () => act("delete"), { label: "remove" }));
     }
     return element("li", { className: selected ? "selected" : "" }, head, tools);
+  }
+
+  /** Chooses the appearance of the selected object, or of the scene where none is selected: from one to another. */
+  blend() {
+    const { app } = this, item = app.selected(), now = (item ? item.appearance : app.state?.appearance) ?? { photo: null, towards: null, share: 0 };
+    const id = item?.id ?? null, name = item?.name ?? text("blend_scene");
+    const act = (/** @type {object} */ change) => app.act({ do: "appearance", id, ...now, ...change });
+    const choose = (/** @type {"photo" | "towards"} */ key, /** @type {string} */ label) => {
+      const select = /** @type {HTMLSelectElement} */ (element("select", { "aria-label": `${text("blend", name)}: ${text(label)}` }));
+      select.append(new Option(text("blend_own"), "", false, now[key] === null));
+      app.description.photos.forEach((photo, i) => {
+        if (!photo.held_out) select.append(new Option(photo.name, String(i), false, now[key] === i));
+      });
+      select.addEventListener("change", () => act({ [key]: select.value === "" ? null : +select.value }));
+      return element("label", { className: "row" }, element("span", { className: "quiet" }, text(label)), select);
+    };
+    const label = `${text("blend", name)}: ${text("blend_share")}`;
+    const share = /** @type {HTMLInputElement} */ (element("input", { type: "range", min: "0", max: "1", step: "0.05", value: String(now.share), "aria-label": label }));
+    share.addEventListener("change", () => act({ share: +share.value }));
+    return element("fieldset", { id: "blend" }, element("legend", {}, text("blend", name)), choose("photo", "blend_from"), choose("towards", "blend_to"), share);
+  }
+
+  /** Writes an object to the run's folder. @param {Item} item */
+  async save(item) {
+    const { app } = this;
+    app.say(text("saving", item.name), true);
+    await app.run.save(item.id).then(({ selection }) => app.say(text("saved", selection)), error => app.failed(error));
   }
 
   /** @param {number} id */

@@ -6,6 +6,8 @@ import { text } from "./strings.js";
 /** @typedef {import("./main.js").App} App */
 /** @typedef {import("./api.js").Prompts} Prompts */
 
+/** Colour of transients. */
+const TRANSIENT = [255, 140, 0];
 /** Pixels that a pointer moves before a click becomes a drag. */
 const DRAG = 6;
 /** Steps from part to whole; null lets the server choose. @type {(number | null)[]} */
@@ -64,10 +66,10 @@ export class PhotoPane {
     sheet.style.width = `${camera.width * fit}px`;
     sheet.style.height = `${camera.height * fit}px`;
     this.origin = [(w - camera.width * fit) / 2, (h - camera.height * fit) / 2];
-    this.place();
+    this.arrange();
   }
 
-  place() {
+  arrange() {
     const { scale, x, y } = this.zoom;
     const [left, top] = this.origin ?? [0, 0];
     sheet.style.transform = `translate(${left + x}px, ${top + y}px) scale(${scale})`;
@@ -94,7 +96,7 @@ export class PhotoPane {
       return this.drag(event, (dx, dy) => {
         this.zoom.x += dx;
         this.zoom.y += dy;
-        this.place();
+        this.arrange();
       });
     }
     if (!this.inside(start) || event.button > 2) return;
@@ -170,7 +172,7 @@ export class PhotoPane {
   /** Asks for the candidate under the pointer; one request at a time, the newest position counts. */
   async hover() {
     const { app, hovered } = this;
-    if (!hovered || app.tool !== "prompt" || !app.state || app.state.draft.prompts.length || app.state.draft.listed !== null) {
+    if (!hovered || app.tool !== "prompt" || app.transients || !app.state || app.state.draft.prompts.length || app.state.draft.listed !== null) {
       return this.clearCandidate();
     }
     if (this.hovering) return;
@@ -200,7 +202,7 @@ export class PhotoPane {
     this.zoom = next === 1 ? { scale: 1, x: 0, y: 0 } : {
       scale: next, x: x - (x - this.zoom.x) * next / scale, y: y - (y - this.zoom.y) * next / scale,
     };
-    this.place();
+    this.arrange();
     this.drawPrompts();
   }
 
@@ -263,15 +265,14 @@ export class PhotoPane {
     if (!app.state || !app.shows("photo")) return;
     this.drawPrompts();
     if (app.state.draft.prompts.length) this.clearCandidate();
-    const wanted = `${app.photo}/${app.state.revision}`;
-    if (this.labelled === wanted || this.labelling) return;
+    const { transients } = app, wanted = () => `${app.photo}/${app.state?.revision}/${app.transients}`;
+    if (this.labelled === wanted() || this.labelling) return;
     this.labelling = true;
     try {
-      const photo = app.photo, map = await app.run.labels(photo);
-      if (photo === app.photo) {
-        paint(labels, map, label => label === ANSWER ? ANSWER_COLOUR : app.colourOf(label));
-        this.labelled = `${photo}/${map.revision}`;
-        app.times.labels = map.revision;
+      const photo = app.photo, map = await (transients ? app.run.transients(photo) : app.run.labels(photo));
+      if (photo === app.photo && transients === app.transients) {
+        paint(labels, map, label => transients ? TRANSIENT : label === ANSWER ? ANSWER_COLOUR : app.colourOf(label));
+        this.labelled = `${photo}/${map.revision}/${transients}`;
       }
     } catch (error) {
       app.failed(error);
@@ -279,7 +280,7 @@ export class PhotoPane {
     } finally {
       this.labelling = false;
     }
-    if (this.labelled !== `${app.photo}/${app.state.revision}`) this.update();
+    if (this.labelled !== wanted()) this.update();
   }
 }
 

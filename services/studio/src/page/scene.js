@@ -21,6 +21,8 @@ const SIDES = [480, 1280];
 const FRAME = 1000 / 30;
 /** Cameras that are shown. */
 const MOST_CAMERAS = 400;
+/** Sides under which a pane is hidden or folded. */
+const LEAST = 8;
 /** The label of splats that are not shown. */
 const HIDDEN_LABEL = 254;
 
@@ -247,7 +249,8 @@ export class ScenePane {
     try {
       this.drawer ??= await this.choose();
       let whole = false;
-      while (this.dirty || !whole) {
+      // A pane that was hidden meanwhile has no size.
+      while ((this.dirty || !whole) && space.clientWidth > LEAST && space.clientHeight > LEAST) {
         this.dirty = false;
         whole = performance.now() - this.moved > REST;
         const began = performance.now();
@@ -292,9 +295,15 @@ export class ScenePane {
 
   async prepare() {
     this.view3 ??= new SplatView(/** @type {HTMLCanvasElement} */ (of("splats")));
-    const { app, view3 } = this, appearance = app.state?.appearance ?? null, wanted = `${app.run.name}/${appearance}`;
+    const { view3 } = this, wanted = this.shades();
     if (!view3.software && this.loaded !== wanted) await this.load(wanted);
     return view3;
+  }
+
+  /** What the colours of the splats depend on. */
+  shades() {
+    const { app } = this;
+    return `${app.run.name}/${app.description.snapshot}/${JSON.stringify(app.state?.appearance)}`;
   }
 
   /** @param {string} wanted */
@@ -317,7 +326,7 @@ export class ScenePane {
 
   /** @param {boolean} whole */
   async drawHere(whole) {
-    const view3 = await this.prepare(), { app } = this, wanted = `${app.run.name}/${app.state?.appearance ?? null}`;
+    const view3 = await this.prepare(), { app } = this, wanted = this.shades();
     if (this.loaded !== wanted) await this.load(wanted);
     const marked = `${app.state?.revision}/${this.marks}`;
     if (this.marked !== marked) {

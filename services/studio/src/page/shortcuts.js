@@ -20,6 +20,7 @@ export const shortcuts = [
   { act: "tool_sphere", keys: ["Digit5"], does: "Tool: sphere" },
   { act: "rule_visible", keys: ["KeyN"], does: "Tools take only what is visible, or all" },
   { act: "rule_footprint", keys: ["KeyM"], does: "Tools take footprints, or centres" },
+  { act: "transients", keys: ["KeyR"], does: "Show the photo's transients; tools paint them" },
   { act: "part", keys: ["BracketLeft"], does: "A smaller part" },
   { act: "whole", keys: ["BracketRight"], does: "A larger whole" },
   { act: "isolate", keys: ["KeyI"], does: "Show the selected object alone, or everything" },

@@ -227,6 +227,30 @@ test("marks by hand make and change an object", async t => {
   await clear(page);
 });
 
+test("transients are painted, and an appearance is blended from one photo to another", async t => {
+  const page = await opened(t);
+  await page.keyboard.press("r");
+  await until(page, () => /** @type {any} */ (window).segwild.photoPane.labelled.endsWith("true"));
+  const { box } = await middle(page);
+  await page.mouse.move(box.x + box.width * 0.3, box.y + box.height * 0.3);
+  await page.mouse.down();
+  await page.mouse.move(box.x + box.width * 0.6, box.y + box.height * 0.6, { steps: 3 });
+  await page.mouse.up();
+  await until(page, () => /** @type {any} */ (window).segwild.state.corrected.length === 1);
+  assert.ok(await page.locator("#train").isVisible());
+  await page.locator("#stage").focus();
+  await page.keyboard.press("Control+z");
+  await until(page, () => /** @type {any} */ (window).segwild.state.corrected.length === 0);
+  await page.keyboard.press("r");
+  await page.locator("#blend select").nth(1).selectOption({ index: 2 });
+  await until(page, () => /** @type {any} */ (window).segwild.state.appearance.towards !== null);
+  await page.locator("#blend input").fill("0.5");
+  await page.locator("#blend input").dispatchEvent("change");
+  await until(page, () => /** @type {any} */ (window).segwild.state.appearance.share === 0.5);
+  await page.locator("#blend select").nth(1).selectOption({ index: 0 });
+  await until(page, () => /** @type {any} */ (window).segwild.state.appearance.towards === null);
+});
+
 test("two browsers on one run see the same", async t => {
   const one = await opened(t), two = await opened(t);
   await click(one);

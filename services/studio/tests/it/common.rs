@@ -5,7 +5,7 @@ use segwild_bench::synthetic::{ObjectKind, SyntheticOptions};
 use segwild_bench::trial::{ProviderKind, Trial};
 use segwild_flow::Stopper;
 use segwild_pipeline::{Preset, RunFolder, Settings};
-use segwild_studio::messages::{Action, ShownPrompts, StateMessage};
+use segwild_studio::messages::{ShownPrompts, StateMessage, StudioAction};
 use segwild_studio::{Studio, StudioError};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
@@ -112,11 +112,11 @@ pub fn answered(studio: &Studio) -> StateMessage {
 }
 
 /// The click on an object.
-pub fn click(studio: &Studio, object: usize) -> Action {
+pub fn click(studio: &Studio, object: usize) -> StudioAction {
     let (photo, [x, y]) = &trained().clicks[object];
     let photo = studio.session().scene().view_named(photo).unwrap();
     let point = segwild_scene::PointPrompt { x: *x, y: *y, inside: true };
-    Action::Prompt {
+    StudioAction::Prompt {
         prompts: vec![ShownPrompts { photo, points: vec![point], ..ShownPrompts::default() }],
         alternative: 0,
     }
@@ -126,5 +126,5 @@ pub fn click(studio: &Studio, object: usize) -> Action {
 pub fn keep(studio: &Arc<Studio>, object: usize, name: &str) -> Result<(), StudioError> {
     studio.act(click(studio, object))?;
     answered(studio);
-    studio.act(Action::Keep { name: Some(name.into()) })
+    studio.act(StudioAction::Keep { name: Some(name.into()) })
 }

@@ -1,12 +1,17 @@
 //! The journal and its document: operations undo, survive a kill, and are not shared by two processes.
 
+use segwild_pipeline::BlendedAppearance;
 use segwild_studio::document::{
-    Document, DocumentError, Draft, Journal, JournalEntry, JournalError, Operation, StoredSelection,
+    Document, DocumentError, Journal, JournalEntry, JournalError, ObjectDraft, Operation, StoredSelection,
 };
 use std::path::Path;
 
 fn selection(splats: usize) -> StoredSelection {
     StoredSelection { hash: format!("{splats:032x}"), splats }
+}
+
+fn lit(photo: &str) -> BlendedAppearance {
+    BlendedAppearance { photo: photo.into(), ..BlendedAppearance::default() }
 }
 
 fn paint(id: u32) -> Operation {
@@ -15,7 +20,7 @@ fn paint(id: u32) -> Operation {
 
 /// Every kind of operation.
 fn all() -> Vec<Operation> {
-    let draft = Draft { alternative: 1, ..Draft::default() };
+    let draft = ObjectDraft { alternative: 1, ..ObjectDraft::default() };
     vec![
         paint(1),
         Operation::Draft { draft: draft.clone() },
@@ -25,9 +30,11 @@ fn all() -> Vec<Operation> {
         Operation::Colour { id: 1, colour: 3 },
         Operation::Duplicate { id: 2, copy: 3, name: "liberty 2".into() },
         Operation::Edit { id: 3, tool: "grow".into(), selection: selection(9) },
-        Operation::Appearance { id: Some(3), photo: "night.jpg".into() },
-        Operation::Appearance { id: None, photo: "day.jpg".into() },
+        Operation::Appearance { id: Some(3), appearance: lit("night.jpg") },
+        Operation::Appearance { id: None, appearance: lit("day.jpg") },
         Operation::CutSpikes { cut: false },
+        Operation::Transients { photo: "day.jpg".into(), mask: "a".into(), before: "b".into() },
+        Operation::Transients { photo: "day.jpg".into(), mask: "c".into(), before: "b".into() },
         Operation::Isolate { id: Some(2) },
         Operation::Delete { id: 2 },
         Operation::Lock { id: 1, locked: true },

@@ -162,7 +162,7 @@ fn viewers_see_every_change_as_an_event() {
 }
 
 #[test]
-fn a_folder_of_runs_lists_them_and_puts_away_the_one_that_was_used_longest_ago() {
+fn a_folder_of_runs_lists_them_and_closes_the_one_that_was_used_longest_ago() {
     let dir = tempfile::tempdir().unwrap();
     let copies: Vec<_> = ["a", "b"]
         .iter()
@@ -202,4 +202,31 @@ fn a_run_that_is_not_trained_yet_is_waited_for() {
     std::fs::rename(folder.path(), dir.path().join("later")).unwrap();
     opened(&server, "later");
     drop(own);
+}
+
+#[test]
+fn every_route_is_in_the_guide_and_every_route_of_the_guide_is_there() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let source = std::fs::read_to_string(root.join("src/routes.rs")).unwrap();
+    let guide = std::fs::read_to_string(root.join("../../docs/guide/studio.md")).unwrap();
+    let named = |text: &str| {
+        text.replace("{run}", "RUN")
+            .replace("{photo}", "N")
+            .replace("{object}", "ID")
+            .replace("{scene}", "SCENE")
+    };
+    let mut routes: Vec<String> = source
+        .split(".route(")
+        .skip(1)
+        .filter_map(|part| {
+            let path = part.split('"').nth(1)?.strip_prefix("/api/v1")?;
+            let method = if part.split(')').next()?.contains("post(") { "POST" } else { "GET" };
+            Some(format!("{method} {}", named(path)))
+        })
+        .collect();
+    let rows = guide.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next());
+    let mut rows: Vec<String> = rows.map(|row| row.split('?').next().unwrap_or(row).to_owned()).collect();
+    routes.sort();
+    rows.sort();
+    assert_eq!(routes, rows);
 }

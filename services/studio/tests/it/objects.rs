@@ -4,12 +4,17 @@ use crate::common::{answered, click, keep, open, run, trained, until};
 use segwild_flow::Stopper;
 use segwild_pipeline::{PhotoPrompts, segment};
 use segwild_scene::Prompts;
-use segwild_studio::messages::{Action, FrameRequest, HoverRequest, PickRequest, ViewMessage};
+use segwild_studio::messages::{FrameRequest, HoverRequest, PickRequest, StudioAction, ViewMessage};
 use segwild_studio::{Combination, Region, RegionRule, Studio, StudioError};
 use std::sync::Arc;
 
 fn ply(studio: &Studio, id: u32) -> Vec<u8> {
     studio.object_ply(id).unwrap().1
+}
+
+/// The appearance of a photo, for an object or for the scene.
+fn light(id: Option<u32>, photo: Option<usize>) -> StudioAction {
+    StudioAction::Appearance { id, photo, towards: None, share: 0.0 }
 }
 
 /// The view of a photo.
@@ -38,8 +43,8 @@ fn a_session_that_is_killed_goes_on_with_the_same_objects_to_the_byte() {
     let studio = open(&folder);
     keep(&studio, 0, "left").unwrap();
     keep(&studio, 1, "right").unwrap();
-    studio.act(Action::Grow { id: 2, steps: 1 }).unwrap();
-    studio.act(Action::Rename { id: 1, name: "the left one".into() }).unwrap();
+    studio.act(StudioAction::Grow { id: 2, steps: 1 }).unwrap();
+    studio.act(StudioAction::Rename { id: 1, name: "the left one".into() }).unwrap();
     studio.act(click(&studio, 2)).unwrap();
     let before = answered(&studio);
     let files = [ply(&studio, 1), ply(&studio, 2)];
@@ -59,7 +64,7 @@ fn a_session_that_is_killed_goes_on_with_the_same_objects_to_the_byte() {
     assert!(answer == studio.splat_labels().0, "the draft's answer is asked for again");
     // Undo goes back beyond the restart.
     for _ in 0..2 {
-        studio.act(Action::Undo).unwrap();
+        studio.act(StudioAction::Undo).unwrap();
     }
     assert_eq!(studio.message().objects[0].name, "left");
 }
@@ -78,7 +83,7 @@ mod erased {
 }
 
 #[test]
-fn splats_that_are_lost_are_asked_for_again() {
+fn splats_that_are_lost_are_selected_again() {
     let (_dir, folder) = run();
     let studio = open(&folder);
     keep(&studio, 0, "statue").unwrap();
@@ -92,7 +97,7 @@ fn splats_that_are_lost_are_asked_for_again() {
 }
 
 #[test]
-fn objects_of_an_earlier_training_are_asked_for_again_by_their_prompts() {
+fn objects_of_an_earlier_training_are_selected_again_by_their_prompts() {
     let (_dir, folder) = run();
     let studio = open(&folder);
     keep(&studio, 0, "statue").unwrap();
@@ -117,8 +122,8 @@ fn a_newer_click_ends_the_answer_before_and_an_empty_draft_all_of_them() {
     let message = answered(&studio);
     assert_eq!((message.answer.number, message.answer.state), (3, "done"), "{message:?}");
     let wanted = keep_and_count(&studio);
-    studio.act(Action::Undo).unwrap();
-    studio.act(Action::Prompt { prompts: Vec::new(), alternative: 0 }).unwrap();
+    studio.act(StudioAction::Undo).unwrap();
+    studio.act(StudioAction::Prompt { prompts: Vec::new(), alternative: 0 }).unwrap();
     let message = studio.message();
     assert_eq!((message.answer.state, message.answer.splats), ("none", 0));
     assert!(studio.splat_labels().0.iter().all(|label| *label == 0));
@@ -129,7 +134,7 @@ fn a_newer_click_ends_the_answer_before_and_an_empty_draft_all_of_them() {
 }
 
 fn keep_and_count(studio: &Arc<Studio>) -> usize {
-    studio.act(Action::Keep { name: None }).unwrap();
+    studio.act(StudioAction::Keep { name: None }).unwrap();
     studio.message().objects.last().unwrap().splats
 }
 
@@ -139,17 +144,17 @@ fn a_listed_part_is_kept_and_refined_under_the_same_number() {
     let studio = open(&folder);
     let listed = studio.describe().listed;
     assert!(!listed.is_empty());
-    studio.act(Action::Listed { number: 1 }).unwrap();
+    studio.act(StudioAction::Listed { number: 1 }).unwrap();
     assert_eq!(answered(&studio).draft.listed, Some(1));
-    studio.act(Action::Keep { name: None }).unwrap();
-    studio.act(Action::Refine { id: 1 }).unwrap();
+    studio.act(StudioAction::Keep { name: None }).unwrap();
+    studio.act(StudioAction::Refine { id: 1 }).unwrap();
     let message = answered(&studio);
     assert_eq!(message.draft.of, Some(1));
-    studio.act(Action::Keep { name: None }).unwrap();
+    studio.act(StudioAction::Keep { name: None }).unwrap();
     let message = studio.message();
     assert_eq!((message.objects.len(), message.objects[0].id, message.draft.of), (1, 1, None));
     assert!(studio.sheet().unwrap().starts_with(b"\x89PNG"));
-    assert!(studio.act(Action::Listed { number: 99 }).is_err());
+    assert!(studio.act(StudioAction::Listed { number: 99 }).is_err());
 }
 
 #[test]
@@ -162,7 +167,8 @@ fn tools_add_subtract_and_intersect_what_their_region_holds() {
     let rectangle = |x0: f32, x1: f32| Region::Polygon {
         points: [[x0, 0.0], [x1, 0.0], [x1, 1.0], [x0, 1.0]].map(|[x, y]| [x * w, y * h]).to_vec(),
     };
-    let region = |id, region, how, rule| studio.act(Action::Region { id, view: view(), region, how, rule });
+    let region =
+        |id, region, how, rule| studio.act(StudioAction::Region { id, view: view(), region, how, rule });
     let splats = |id: u32| studio.message().objects.iter().find(|o| o.id == id).unwrap().splats;
     region(None, rectangle(0.0, 0.5), Combination::Add, RegionRule::Centre).unwrap();
     region(None, rectangle(0.0, 1.0), Combination::Add, RegionRule::Centre).unwrap();
@@ -180,9 +186,9 @@ fn tools_add_subtract_and_intersect_what_their_region_holds() {
     let refused = region(Some(1), rectangle(0.5, 1.0), Combination::Intersect, RegionRule::Centre);
     assert!(matches!(refused, Err(StudioError::Request(_))), "nothing would be left");
     // Shrinking what has grown gives no more than before; a union holds both.
-    studio.act(Action::Grow { id: 1, steps: 2 }).unwrap();
+    studio.act(StudioAction::Grow { id: 1, steps: 2 }).unwrap();
     assert!(splats(1) > half);
-    studio.act(Action::Combine { id: 1, with: 2, how: Combination::Add }).unwrap();
+    studio.act(StudioAction::Combine { id: 1, with: 2, how: Combination::Add }).unwrap();
     assert!(splats(1) >= whole - half);
     let ball = Region::Sphere { at: [w / 2.0, h / 2.0], radius: 0.1 * w };
     region(None, ball, Combination::Add, RegionRule::Centre).unwrap();
@@ -244,12 +250,12 @@ fn hidden_and_isolated_objects_show_in_frames_and_labels() {
     let labels = studio.splat_labels().0;
     let inside = labels.iter().filter(|label| **label == 1).count();
     assert_eq!(inside, studio.message().objects[0].splats);
-    studio.act(Action::Show { id: 1, visible: false }).unwrap();
+    studio.act(StudioAction::Show { id: 1, visible: false }).unwrap();
     assert_eq!(studio.splat_labels().0.iter().filter(|label| **label == 254).count(), inside);
     assert!(frame(false) != plain);
-    studio.act(Action::Show { id: 1, visible: true }).unwrap();
+    studio.act(StudioAction::Show { id: 1, visible: true }).unwrap();
     assert!(frame(false) == plain);
-    studio.act(Action::Isolate { id: Some(1) }).unwrap();
+    studio.act(StudioAction::Isolate { id: Some(1) }).unwrap();
     assert_eq!(studio.splat_labels().0.iter().filter(|label| **label == 254).count(), labels.len() - inside);
     assert!(frame(false) != plain);
     let counts = studio.photos_of(1).unwrap();
@@ -263,14 +269,23 @@ fn an_appearance_changes_the_object_alone_or_the_whole_scene() {
     let studio = open(&folder);
     keep(&studio, 0, "statue").unwrap();
     let own = ply(&studio, 1);
-    studio.act(Action::Appearance { id: Some(1), photo: Some(3) }).unwrap();
+    studio.act(light(Some(1), Some(3))).unwrap();
     let of_photo = ply(&studio, 1);
     assert!(of_photo != own && of_photo.len() == own.len());
-    studio.act(Action::Appearance { id: Some(1), photo: None }).unwrap();
-    studio.act(Action::Appearance { id: None, photo: Some(3) }).unwrap();
+    studio.act(light(Some(1), None)).unwrap();
+    studio.act(light(None, Some(3))).unwrap();
     assert!(ply(&studio, 1) == of_photo, "the export has the scene's appearance");
+    // All the way to another photo is that photo.
+    let towards = |share| StudioAction::Appearance { id: None, photo: None, towards: Some(3), share };
+    studio.act(towards(1.0)).unwrap();
+    assert!(ply(&studio, 1) == of_photo);
+    studio.act(towards(0.5)).unwrap();
+    assert!(ply(&studio, 1) != of_photo && ply(&studio, 1) != own);
+    studio.act(towards(0.0)).unwrap();
+    assert!(ply(&studio, 1) == own);
+    assert!(studio.act(towards(1.5)).is_err());
     let held_out = studio.describe().photos.iter().position(|photo| photo.held_out).unwrap();
-    assert!(studio.act(Action::Appearance { id: None, photo: Some(held_out) }).is_err());
+    assert!(studio.act(light(None, Some(held_out))).is_err());
 }
 
 #[test]
@@ -283,14 +298,14 @@ fn requests_that_make_no_sense_are_refused_and_nothing_is_written() {
     let prompt = |photo, x, y| {
         let prompts =
             segwild_studio::messages::ShownPrompts { photo, points: vec![point(x, y)], ..Default::default() };
-        Action::Prompt { prompts: vec![prompts], alternative: 0 }
+        StudioAction::Prompt { prompts: vec![prompts], alternative: 0 }
     };
     let mut odd = view(&studio, 0);
     odd.rotation = [1.0; 9];
     let mut large = view(&studio, 0);
     large.camera.width = 1 << 20;
     let square = || Region::Polygon { points: vec![[0.0, 0.0], [9.0, 0.0], [9.0, 9.0]] };
-    let region = |view, region| Action::Region {
+    let region = |view, region| StudioAction::Region {
         id: None,
         view,
         region,
@@ -299,14 +314,14 @@ fn requests_that_make_no_sense_are_refused_and_nothing_is_written() {
     };
     let refused = [
         prompt(999, 1.0, 1.0),
-        Action::Keep { name: None },
-        Action::Refine { id: 4 },
-        Action::Undo,
+        StudioAction::Keep { name: None },
+        StudioAction::Refine { id: 4 },
+        StudioAction::Undo,
         region(odd, square()),
         region(large, square()),
         region(view(&studio, 0), Region::Polygon { points: vec![] }),
-        Action::Appearance { id: None, photo: Some(999) },
-        Action::Combine { id: 1, with: 2, how: Combination::Add },
+        light(None, Some(999)),
+        StudioAction::Combine { id: 1, with: 2, how: Combination::Add },
     ];
     for action in refused {
         let words = format!("{action:?}");
@@ -318,4 +333,63 @@ fn requests_that_make_no_sense_are_refused_and_nothing_is_written() {
     let message = answered(&studio);
     assert_eq!(message.answer.state, "failed");
     assert!(message.answer.error.unwrap().contains("outside"));
+}
+
+#[test]
+fn transients_are_painted_into_the_runs_own_mask_and_undone_to_the_pixel() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    let photo = studio.describe().photos.iter().position(|photo| !photo.held_out).unwrap();
+    let camera = studio.describe().photos[photo].camera;
+    let covered = || {
+        let map = studio.transients(photo).unwrap();
+        map.runs.chunks_exact(2).filter(|run| run[0] == 255).map(|run| run[1]).sum::<u32>()
+    };
+    let square = |x0: f32, x1: f32| Region::Polygon {
+        points: [[x0, 0.2], [x1, 0.2], [x1, 0.8], [x0, 0.8]]
+            .map(|[x, y]| [x * camera.width as f32, y * camera.height as f32])
+            .to_vec(),
+    };
+    let own = studio.session().transient_mask(photo);
+    let before = covered();
+    let paint = |region, how| studio.act(StudioAction::Transients { photo, region, how });
+    paint(square(0.0, 1.0), Combination::Subtract).unwrap();
+    paint(square(0.2, 0.6), Combination::Add).unwrap();
+    let small = studio.session().working_camera(photo);
+    let wanted = 0.4 * 0.6 * (small.width * small.height) as f32;
+    assert!((covered() as f32 - wanted).abs() < 0.1 * wanted + before as f32, "{} and {wanted}", covered());
+    assert_eq!(studio.message().corrected, [photo]);
+    // The next run sees a person's correction.
+    let (count, damaged) = folder.verify_transient_masks().unwrap();
+    assert!(count > 0 && damaged.is_empty());
+    studio.act(StudioAction::Undo).unwrap();
+    studio.act(StudioAction::Undo).unwrap();
+    assert_eq!((covered(), studio.message().corrected.len()), (before, 0));
+    if let Some(own) = own {
+        assert_eq!(studio.session().transient_mask(photo), Some(own));
+    }
+    let held_out = studio.describe().photos.iter().position(|photo| photo.held_out).unwrap();
+    let action =
+        StudioAction::Transients { photo: held_out, region: square(0.0, 1.0), how: Combination::Add };
+    assert!(studio.act(action).is_err());
+}
+
+#[test]
+fn all_objects_are_exported_as_labels_masks_and_selections_of_the_run() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    keep(&studio, 0, "the first").unwrap();
+    keep(&studio, 1, "second").unwrap();
+    let labels = studio.labelled_ply().unwrap();
+    assert!(String::from_utf8_lossy(&labels[..2000]).contains("property uchar object"));
+    let coco: serde_json::Value = serde_json::from_slice(&studio.coco().unwrap()).unwrap();
+    let names: Vec<_> = coco["categories"].as_array().unwrap().iter().map(|c| c["name"].clone()).collect();
+    assert_eq!(names, ["the first", "second"]);
+    assert!(coco["annotations"].as_array().unwrap().len() > 4);
+    assert_eq!(studio.save(1).unwrap(), "the_first");
+    let saved = std::fs::read(folder.selection("the_first").join("object.ply")).unwrap();
+    assert!(saved == ply(&studio, 1));
+    assert!(folder.selection("the_first").join("masks").is_dir());
+    studio.act(StudioAction::Grow { id: 2, steps: 1 }).unwrap();
+    assert!(studio.save(2).is_err(), "no prompts make what a tool changed");
 }
