@@ -4,7 +4,7 @@ use crate::document::JournalError;
 use crate::messages::RunEntry;
 use crate::{Studio, StudioError};
 use segwild_farm::BatchFolder;
-use segwild_flow::{FileError, Stopper};
+use segwild_flow::{FileError, Stopper, files};
 use segwild_monitor::view::RunState;
 use segwild_monitor::{MonitorTarget, MonitorView};
 use segwild_pipeline::{RunFolder, TrainingSnapshot};
@@ -100,10 +100,13 @@ impl ServedRuns {
         }
     }
 
-    /// The folder of a run. Only names that are listed have one: a request names no path.
+    /// The folder of a run. Only plain names of folders that hold one have it: a request names no path.
     fn folder(&self, name: &str) -> Option<PathBuf> {
-        let known = self.names().iter().any(|known| known == name);
-        known.then(|| if self.single { self.root.clone() } else { self.root.join(name) })
+        if self.single {
+            return (name == name_of(&self.root)).then(|| self.root.clone());
+        }
+        let folder = self.root.join(name);
+        (files::name::is_plain(name) && has_ledger(&folder)).then_some(folder)
     }
 
     /// Opens the session of a server that has one run: somebody will want it.

@@ -1,7 +1,7 @@
 //! `segwild doctor`
 
 use super::{path, print_json, print_line};
-use crate::args::{self, examples, json};
+use crate::args::{self, examples, flag, json};
 use crate::exit;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command};
@@ -22,6 +22,7 @@ pub fn command() -> Command {
                 .default_missing_value("user")
                 .help("Print a page of the settings' reference"),
         )
+        .arg(flag("commands", "Print the page of all commands"))
         .arg(args::path("models", "Folder of network files to inspect"))
         .arg(
             Arg::new("kernels")
@@ -39,6 +40,9 @@ pub fn command() -> Command {
 pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
     if let Some(page) = matches.get_one::<String>("settings") {
         return print_line(Settings::to_markdown(page == "expert").trim_end());
+    }
+    if matches.get_flag("commands") {
+        return print_line(super::reference::markdown().trim_end());
     }
     if let Some(adapter) = matches.get_one::<String>("kernels") {
         return kernels(adapter, matches.get_flag("json"));

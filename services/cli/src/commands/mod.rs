@@ -9,6 +9,7 @@ pub mod demo;
 pub mod doctor;
 pub mod eval;
 pub mod objects;
+mod reference;
 pub mod render;
 pub mod run;
 pub mod segment;

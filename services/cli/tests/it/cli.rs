@@ -292,12 +292,17 @@ fn a_damaged_model_is_named() {
 }
 
 #[test]
-fn the_settings_pages_are_up_to_date() {
-    for (page, file) in [("user", "settings.md"), ("expert", "expert-settings.md")] {
-        let printed = works(&["doctor", "--settings", page]);
+fn the_pages_of_settings_and_commands_are_up_to_date() {
+    let pages = [
+        (&["--settings", "user"][..], "settings.md"),
+        (&["--settings", "expert"], "expert-settings.md"),
+        (&["--commands"], "cli.md"),
+    ];
+    for (page, file) in pages {
+        let printed = works(&[&["doctor"], page].concat());
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/reference").join(file);
         let kept = std::fs::read_to_string(&file).expect("the page");
-        let command = format!("segwild doctor --settings {page} > {}", file.display());
+        let command = format!("segwild doctor {} > {}", page.join(" "), file.display());
         assert_eq!(printed, kept, "{} is out of date: `{command}`", file.display());
     }
 }

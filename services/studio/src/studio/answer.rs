@@ -1,0 +1,181 @@
+//! Answers that grow, and objects that are asked for again.
+
+use super::{Studio, StudioError, StudioState};
+use crate::document::{Document, JournalEntry, KeptObject, ObjectDraft, ObjectId, Operation};
+use crate::messages::AnswerMessage;
+use segwild_flow::Stopper;
+use segwild_pipeline::{Replay, RunError, Selected, Session};
+use segwild_segmenter::SegmentSettings;
+use std::sync::{Arc, Weak};
+use std::time::Instant;
+
+/// An answer that grows.
+#[derive(Default)]
+pub(super) struct GrowingAnswer {
+    pub(super) message: AnswerMessage,
+    pub(super) selected: Option<Arc<Selected>>,
+    pub(super) stopper: Option<Stopper>,
+}
+
+impl Studio {
+    /// Cancels the answer that is being made, and starts the one to the present draft.
+    pub(super) fn start_answer(self: &Arc<Self>, state: &mut StudioState) {
+        if let Some(stopper) = state.answer.stopper.take() {
+            stopper.stop();
+        }
+        let number = state.answer.message.number + 1;
+        let draft = &state.document.objects().draft;
+        state.answer = GrowingAnswer::default();
+        state.answer.message.number = number;
+        if draft.is_empty() {
+            return;
+        }
+        let stopper = Stopper::new();
+        let replay = self.replay(draft);
+        state.answer.message.state = "working";
+        state.answer.stopper = Some(stopper.clone());
+        let studio = Arc::downgrade(self);
+        let work = move || answer(&studio, number, &replay, &stopper);
+        if let Err(e) = std::thread::Builder::new().name("studio answer".into()).spawn(work) {
+            state.answer.message.state = "failed";
+            state.answer.message.error = Some(format!("no thread can be started: {e}"));
+        }
+    }
+
+    pub(super) fn replay(&self, draft: &ObjectDraft) -> Replay {
+        let settings = SegmentSettings { alternative: draft.alternative, ..self.settings.clone() };
+        Replay { prompts: draft.prompts.clone(), object: draft.listed.clone(), settings: Some(settings) }
+    }
+
+    pub(super) fn settings_of(&self, replay: &Replay) -> SegmentSettings {
+        replay.settings.clone().unwrap_or_else(|| self.settings.clone())
+    }
+
+    /// Changes the answer of a number, if it is still the present one; returns whether it is.
+    pub(super) fn update(&self, number: u64, change: impl FnOnce(&mut GrowingAnswer)) -> bool {
+        let mut state = self.state();
+        if state.answer.message.number != number {
+            return false;
+        }
+        change(&mut state.answer);
+        self.changed(&mut state);
+        true
+    }
+
+    /// After a restart: the draft's answer is not kept, so it is asked for again.
+    pub(super) fn ask_again(self: &Arc<Self>) {
+        let mut state = self.state();
+        self.start_answer(&mut state);
+        self.changed(&mut state);
+    }
+
+    /// Asks again for objects whose splats are lost or of an earlier training.
+    pub(super) fn recover(self: &Arc<Self>, earlier: Option<Document>) {
+        let mut state = self.state();
+        let mut lost: Vec<(KeptObject, Option<ObjectId>)> = Vec::new();
+        for object in state.document.objects().all.clone() {
+            if state.store.get(&object.selection).is_none() {
+                let id = Some(object.id);
+                lost.push((object, id));
+            }
+        }
+        if let Some(earlier) = earlier {
+            state
+                .notes
+                .push("the scene was trained again: its objects are asked for again by their prompts".into());
+            lost.extend(earlier.objects().all.iter().map(|object| (object.clone(), None)));
+        }
+        if lost.is_empty() {
+            return;
+        }
+        drop(state);
+        let studio = Arc::downgrade(self);
+        let work = move || lost.into_iter().for_each(|(object, of)| recover_one(&studio, &object, of));
+        if let Err(e) = std::thread::Builder::new().name("studio recovery".into()).spawn(work) {
+            self.note(format!("no thread can be started to ask for objects again: {e}"));
+        }
+    }
+
+    pub(super) fn note(&self, text: String) {
+        let mut state = self.state();
+        state.notes.push(text);
+        self.changed(&mut state);
+    }
+}
+
+/// Waits for an answer and shows its steps.
+fn answer(studio: &Weak<Studio>, number: u64, replay: &Replay, stopper: &Stopper) {
+    let began = Instant::now();
+    let Some(pending) = studio.upgrade().map(|s| s.session.ask(replay, &s.settings_of(replay), stopper))
+    else {
+        return;
+    };
+    let show = |change: &dyn Fn(&mut GrowingAnswer)| {
+        if let Some(studio) = studio.upgrade() {
+            studio.update(number, |answer| {
+                change(answer);
+                answer.message.seconds = began.elapsed().as_secs_f64();
+            });
+        }
+    };
+    let result = pending.and_then(|pending| {
+        pending.wait(|step, labels| {
+            show(&|answer| {
+                answer.message.step = Some(step);
+                answer.message.splats = labels.iter().filter(|label| **label).count();
+                answer.selected = Some(Arc::new(Selected::of_labels(labels.to_vec())));
+            });
+        })
+    });
+    match result {
+        Ok(done) => {
+            let selected = Arc::new(Session::selected(&done));
+            show(&|answer| {
+                answer.message.state = "done";
+                answer.message.splats = selected.labels.iter().filter(|label| **label).count();
+                answer.message.alternatives.clone_from(&done.segmented.alternatives);
+                answer.selected = Some(selected.clone());
+            });
+        }
+        Err(RunError::Interrupted) => {}
+        Err(error) => show(&|answer| {
+            answer.message.state = "failed";
+            answer.message.error = Some(error.to_string());
+            answer.message.splats = 0;
+            answer.selected = None;
+        }),
+    }
+}
+
+/// Asks again for an object whose splats are lost. Without `of` it becomes a new object of the same name.
+fn recover_one(studio: &Weak<Studio>, object: &KeptObject, of: Option<ObjectId>) {
+    let Some(studio) = studio.upgrade() else { return };
+    let lost = |why: &str| studio.note(format!("object `{}` is lost: {why}", object.name));
+    if object.draft.is_empty() {
+        return lost("a tool selected it, and the scene was trained again since");
+    }
+    let replay = studio.replay(&object.draft);
+    let pending = studio.session.ask(&replay, &studio.settings_of(&replay), &Stopper::new());
+    let answer = match pending.and_then(|pending| pending.wait(|_, _| ())) {
+        Ok(answer) => answer,
+        Err(error) => return lost(&error.to_string()),
+    };
+    let mut guard = studio.state();
+    let state = &mut *guard;
+    let kept = state.store.put(Session::selected(&answer)).map_err(StudioError::from).and_then(|selection| {
+        let objects = state.document.objects();
+        let (id, name) = (of.unwrap_or(objects.next_id()), objects.free_name(&object.name));
+        let draft = objects.draft.clone();
+        let keep = Operation::Keep { id, name, draft: ObjectDraft { of, ..object.draft.clone() }, selection };
+        studio.enter(state, JournalEntry::Apply(keep))?;
+        // What a person was asking for stays.
+        match draft.is_empty() {
+            true => Ok(()),
+            false => studio.enter(state, JournalEntry::Apply(Operation::Draft { draft })),
+        }
+    });
+    drop(guard);
+    if let Err(error) = kept {
+        lost(&error.to_string());
+    }
+}

@@ -1,0 +1,91 @@
+//! Objects as files.
+
+use super::{LOST, Studio, StudioError, mark};
+use crate::document::ObjectId;
+use segwild_flow::{FileError, Stopper};
+use segwild_pipeline::{ObjectList, Selected};
+use std::sync::Arc;
+
+impl Studio {
+    pub(super) fn selection_of(&self, id: ObjectId) -> Result<Arc<Selected>, StudioError> {
+        let mut state = self.state();
+        let selection = state.document.objects().get(id)?.selection.clone();
+        state.store.get(&selection).ok_or(LOST)
+    }
+
+    /// An object as a `.ply`, and its name. It has its own appearance where it has one, and the scene's otherwise.
+    ///
+    /// # Errors
+    /// When there is no such object, or its splats are lost.
+    pub fn object_ply(&self, id: ObjectId) -> Result<(String, Vec<u8>), StudioError> {
+        let selected = self.selection_of(id)?;
+        let (object, scene) = {
+            let state = self.state();
+            let objects = state.document.objects();
+            (objects.get(id)?.clone(), objects.appearance.clone())
+        };
+        let appearance = object.appearance.unwrap_or(scene);
+        Ok((object.name, self.session.object_ply(&selected, &appearance)?))
+    }
+
+    /// The names of the kept objects, and per splat of the scene the number of its object from 1, 0 for none.
+    pub(super) fn numbered(&self) -> (Vec<String>, Vec<u8>) {
+        let mut state = self.state();
+        let all = state.document.objects().all.clone();
+        let mut labels = vec![0u8; self.session.model().splats.len()];
+        for (object, number) in all.iter().zip(1..) {
+            if let Some(selected) = state.store.get(&object.selection) {
+                mark(&mut labels, &selected.labels, number);
+            }
+        }
+        (all.into_iter().map(|object| object.name).collect(), labels)
+    }
+
+    /// The whole scene as a `.ply` whose property `object` numbers the kept objects.
+    ///
+    /// # Errors
+    /// When an appearance is gone.
+    pub fn labelled_ply(&self) -> Result<Vec<u8>, StudioError> {
+        let appearance = self.state().document.objects().appearance.clone();
+        Ok(self.session.labelled_ply(&self.numbered().1, &appearance)?)
+    }
+
+    /// The masks of all kept objects on all photos, as a COCO file.
+    ///
+    /// # Errors
+    /// When the scene cannot be rendered.
+    pub fn coco(&self) -> Result<Vec<u8>, StudioError> {
+        let (names, labels) = self.numbered();
+        Ok(self.session.coco_masks(&names, labels, &Stopper::new())?)
+    }
+
+    /// Writes an object as a selection of the run, as `segwild segment` does; returns the selection's name.
+    ///
+    /// # Errors
+    /// When tools made or changed the object, or a file cannot be written.
+    pub fn save(&self, id: ObjectId) -> Result<String, StudioError> {
+        let object = self.state().document.objects().get(id)?.clone();
+        if object.draft.is_empty() || object.edited {
+            return Err(StudioError::Request(
+                "a tool made or changed this object: its splats can be exported, but a selection of the run is made by prompts alone",
+            ));
+        }
+        let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
+        let name: String = object.name.chars().map(plain).collect();
+        let replay = self.replay(&object.draft);
+        let answer =
+            self.session.ask(&replay, &self.settings_of(&replay), &Stopper::new())?.wait(|_, _| ())?;
+        let selection = name.as_str();
+        self.session.save(selection, &answer)?;
+        Ok(name)
+    }
+
+    /// The sheet of the listed objects' thumbnails, as PNG.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn sheet(&self) -> Result<Vec<u8>, StudioError> {
+        let path = ObjectList::sheet(self.session.folder());
+        Ok(segwild_flow::files::read_plain(&path).map_err(|e| FileError::new("read", &path, e))?)
+    }
+}
