@@ -18,6 +18,7 @@
 //! # }
 //! ```
 
+mod photos;
 mod save;
 mod selected;
 mod viewing;
@@ -33,6 +34,7 @@ use crate::images::ImageFiles;
 use crate::light::{self, find};
 use crate::objects::{ListRequest, TreeSource};
 use crate::prompts::check_all;
+use crate::session::photos::DecodedPhotos;
 use crate::{
     ObjectQuery, PhotoPrompts, Replay, RunError, RunFolder, Settings, choose_engine, log_loss, skies,
     transients,
@@ -41,7 +43,7 @@ use segwild_flow::{
     ActorOptions, Limits, Observer, Phase, Receiver, Sender, Stopper, System, SystemOptions, mailbox,
 };
 use segwild_raster::Engine;
-use segwild_scene::{Image, Prompts, Scene};
+use segwild_scene::{Prompts, Scene};
 use segwild_segmenter::scene_tree::{GroupCandidate, SceneTree};
 use segwild_segmenter::{
     AnswerStep, FirstAnswer, PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings,
@@ -149,12 +151,8 @@ impl Session {
             None => None,
         };
         let scene = Arc::new(scene);
-        let photos = {
-            let scene = scene.clone();
-            Arc::new(move |view: usize| -> Result<Image, String> {
-                Ok(scene.views[view].load(size).map_err(|e| e.to_string())?.image)
-            })
-        };
+        let decoded = DecodedPhotos::new(scene.clone(), size);
+        let photos = Arc::new(move |view: usize| decoded.read(view));
         let system = System::new(SystemOptions {
             threads: made_with.run.threads as usize,
             ..SystemOptions::default()

@@ -316,6 +316,13 @@ export class App {
     });
   }
 
+  /** @param {number} photo @param {import("./api.js").Box} box */
+  removeBox(photo, box) {
+    this.prompt(photo, own => {
+      own.boxes = own.boxes.filter(b => b.x0 !== box.x0 || b.y0 !== box.y0 || b.x1 !== box.x1 || b.y1 !== box.y1);
+    });
+  }
+
   /** @param {number} alternative */
   alternative(alternative) {
     if (this.state) this.act({ do: "prompt", prompts: this.state.draft.prompts, alternative });

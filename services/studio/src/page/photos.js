@@ -239,16 +239,20 @@ export class PhotoPane {
       elements.push(b);
     }
     for (const box of found?.boxes ?? []) {
-      const b = document.createElement("button");
+      const frame = document.createElement("span"), b = document.createElement("button");
+      frame.className = "box";
       b.type = "button";
-      b.className = "box";
+      b.textContent = "×";
       b.setAttribute("aria-label", text("remove_box"));
+      b.style.scale = String(shrink);
+      b.addEventListener("click", () => app.removeBox(app.photo, box));
+      frame.append(b);
       const [x0, x1] = [Math.min(box.x0, box.x1), Math.max(box.x0, box.x1)], [y0, y1] = [Math.min(box.y0, box.y1), Math.max(box.y0, box.y1)];
-      Object.assign(b.style, {
+      Object.assign(frame.style, {
         left: percent(x0, camera.width), top: percent(y0, camera.height),
-        width: percent(x1 - x0, camera.width), height: percent(y1 - y0, camera.height), pointerEvents: "none",
+        width: percent(x1 - x0, camera.width), height: percent(y1 - y0, camera.height),
       });
-      elements.push(b);
+      elements.push(frame);
     }
     if (this.cursor) {
       const mark = document.createElement("span");

@@ -43,7 +43,8 @@ export class StatusPane {
 
   /** @param {any} run */
   run(run) {
-    const facts = [run.state, run.left_s == null ? "" : text("status_left", duration(run.left_s)), mib(run.rss_bytes), run.still_s > 5 ? text("status_still", duration(run.still_s)) : ""];
+    const psnr = run.numbers["geometry.psnr_db"];
+    const facts = [run.state, psnr == null ? "" : `${psnr.toFixed(1)} dB`, run.left_s == null ? "" : text("status_left", duration(run.left_s)), mib(run.rss_bytes), run.still_s > 5 ? text("status_still", duration(run.still_s)) : ""];
     const stages = run.stages.map((/** @type {any} */ s) => [
       s.name, s.state, this.bar(s.name, s.total ? s.done / s.total : Number(s.state === "done"), s.total ? `${s.done}/${s.total}` : ""),
       s.rate > 0 ? `${s.rate.toFixed(1)}/s` : "", duration(s.eta_s ?? (s.state === "done" ? s.wall_s : null)), s.error ?? s.why ?? "",

@@ -123,7 +123,7 @@ test("a box, an alternative and a level change what is selected", async t => {
   await page.mouse.up();
   await answered(page);
   assert.equal((await state(page)).draft.prompts[0].boxes.length, 1);
-  await page.keyboard.press("Escape");
+  await page.locator("#prompts .box button").click();
   await until(page, () => document.body.dataset.answer === "none");
   await click(page);
   const { draft, answer } = await state(page);
