@@ -81,6 +81,12 @@ impl FrontMaps {
         Ok(map)
     }
 
+    /// Bytes of all maps.
+    pub fn bytes(&self) -> usize {
+        let maps = self.maps.lock().unwrap_or_else(PoisonError::into_inner);
+        maps.values().map(|(map, _)| 4 * map.splats.len()).sum()
+    }
+
     fn known(&self, view: usize) -> Option<Arc<FrontMap>> {
         let mut maps = self.maps.lock().unwrap_or_else(PoisonError::into_inner);
         let clock = maps.values().map(|(_, used)| used + 1).max().unwrap_or(0);

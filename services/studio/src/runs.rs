@@ -50,8 +50,8 @@ pub(crate) struct ServedRuns {
     root: PathBuf,
     /// Whether the root is a run itself.
     single: bool,
-    /// Sessions that are open at a time at most.
-    most_open: usize,
+    /// Bytes that open sessions may take together; the newest is kept whatever it takes.
+    memory_budget: usize,
     open: Mutex<BTreeMap<String, OpenState>>,
     stopper: Stopper,
     /// The program that trains.
@@ -64,7 +64,7 @@ pub(crate) struct ServedRuns {
 const CONTINUED: &str = "0.2";
 
 impl ServedRuns {
-    pub fn new(root: &Path, most_open: usize, program: Option<PathBuf>) -> ServedRuns {
+    pub fn new(root: &Path, memory_budget: usize, program: Option<PathBuf>) -> ServedRuns {
         let root = root.canonicalize().unwrap_or_else(|_| root.to_owned());
         // A folder that is not there yet will be a run's.
         let is_batch = BatchFolder::open(&root).is_some();
@@ -72,7 +72,7 @@ impl ServedRuns {
         ServedRuns {
             root,
             single: !holds_runs,
-            most_open,
+            memory_budget,
             open: Mutex::default(),
             stopper: Stopper::new(),
             program,
@@ -190,7 +190,6 @@ impl ServedRuns {
         }
         let source = if is_trained(&folder) { Some(None) } else { snapshot_of(&folder).map(Some) };
         if let (None, Some(snapshot)) = (open.get(name), source) {
-            self.close_oldest(&mut open);
             open.insert(name.to_owned(), OpenState::Opening);
             let (runs, of) = (self.clone(), name.to_owned());
             let work = move || runs.open_session(&of, &folder, snapshot.as_ref());
@@ -218,23 +217,28 @@ impl ServedRuns {
             Ok(studio) => OpenState::Open { studio, used: Instant::now(), checked: Instant::now() },
             Err(error) => OpenState::Failed(error.to_string()),
         };
-        self.open().insert(name.to_owned(), state);
+        let mut open = self.open();
+        open.insert(name.to_owned(), state);
+        self.close_oldest(&mut open, name);
     }
 
-    /// Puts the sessions away that were used longest ago, so that one more can be opened.
-    fn close_oldest(&self, open: &mut BTreeMap<String, OpenState>) {
+    /// Closes the sessions that were used longest ago until those that stay fit into the budget.
+    fn close_oldest(&self, open: &mut BTreeMap<String, OpenState>, newest: &str) {
         loop {
-            let used = |state: &OpenState| match state {
-                OpenState::Open { used, .. } => Some(*used),
-                _ => None,
-            };
-            let mut opened: Vec<(Instant, String)> =
-                open.iter().filter_map(|(name, state)| Some((used(state)?, name.clone()))).collect();
-            if opened.len() < self.most_open {
-                return;
-            }
+            let mut opened: Vec<(Instant, String, usize)> = open
+                .iter()
+                .filter_map(|(name, state)| match state {
+                    OpenState::Open { studio, used, .. } => Some((*used, name.clone(), studio.bytes())),
+                    _ => None,
+                })
+                .collect();
+            let bytes: usize = opened.iter().map(|(_, _, bytes)| bytes).sum();
+            opened.retain(|(_, name, _)| name != newest);
             opened.sort();
-            open.remove(&opened[0].1);
+            match opened.first() {
+                Some((_, oldest, _)) if bytes > self.memory_budget => open.remove(oldest),
+                _ => return,
+            };
         }
     }
 }

@@ -21,8 +21,8 @@ const THREADS: usize = 8;
 /// Connections of all viewers together.
 const CONNECTIONS: ConnectionLimits = ConnectionLimits { most: 256, whole_time: None, keep_alive: true };
 
-/// Sessions that are open at a time by default.
-const OPEN_SESSIONS: usize = 4;
+/// Bytes that open sessions may take by default.
+const MEMORY_BUDGET: usize = 2 << 30;
 
 /// How a server is started.
 #[derive(Clone, Debug)]
@@ -31,8 +31,8 @@ pub struct ServeOptions {
     pub address: SocketAddr,
     /// The token; `None` makes one.
     pub token: Option<Token>,
-    /// Sessions that are open at a time: the one that was used longest ago is put away.
-    pub most_open: usize,
+    /// Bytes that open sessions may take together: those that were used longest ago are closed.
+    pub memory_budget: usize,
     /// The `segwild` program, to train a run again without its corrected transients; `None` where nobody may.
     pub program: Option<PathBuf>,
 }
@@ -42,7 +42,7 @@ impl Default for ServeOptions {
         ServeOptions {
             address: (Ipv4Addr::LOCALHOST, 0).into(),
             token: None,
-            most_open: OPEN_SESSIONS,
+            memory_budget: MEMORY_BUDGET,
             program: None,
         }
     }
@@ -111,7 +111,7 @@ impl Drop for StudioServer {
 /// # Errors
 /// When the address cannot be listened on.
 pub fn serve(folder: &Path, options: ServeOptions) -> Result<StudioServer, StudioServeError> {
-    let ServeOptions { address, token, most_open, program } = options;
+    let ServeOptions { address, token, memory_budget, program } = options;
     let token = match token {
         Some(token) => token,
         None => Token::random().map_err(StudioServeError::Start)?,
@@ -126,7 +126,7 @@ pub fn serve(folder: &Path, options: ServeOptions) -> Result<StudioServer, Studi
         .build()
         .map_err(StudioServeError::Start)?;
     let (stop, stopped) = oneshot::channel::<()>();
-    let runs = Arc::new(ServedRuns::new(folder, most_open.max(1), program));
+    let runs = Arc::new(ServedRuns::new(folder, memory_budget, program));
     runs.open_first();
     let guards = Arc::new(Guard { token: token.clone(), address, loopback: address.ip().is_loopback() });
     let routes =

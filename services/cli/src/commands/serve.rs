@@ -1,7 +1,7 @@
 //! `segwild serve`
 
 use super::{path, print_line};
-use crate::args::{self, examples, flag};
+use crate::args::{self, examples, flag, number};
 use crate::exit;
 use crate::failure::Failure;
 use crate::progress::on_ctrl_c;
@@ -39,6 +39,10 @@ pub fn command() -> Command {
             "token-file",
             "Read the token that clients need from this file; it is made where it is missing",
         ))
+        .arg(
+            number("memory-budget", "2048", "MiB that open runs may take: those used longest ago are closed")
+                .value_parser(value_parser!(u32).range(1..)),
+        )
         .arg(flag("insecure", "Listen to other machines without a token file: a new token at every start"))
         .arg(flag("open", "Open the page in the browser"))
         .after_help(examples(
@@ -135,7 +139,8 @@ fn page(folder: &Path, listen: Option<SocketAddr>, matches: &ArgMatches) -> Resu
         )));
     }
     let token = token_file.map(|file| token_of(&file)).transpose()?;
-    let options = ServeOptions { address, token, program: own_program(), ..ServeOptions::default() };
+    let mib = *matches.get_one::<u32>("memory-budget").expect("it has a default") as usize;
+    let options = ServeOptions { address, token, memory_budget: mib << 20, program: own_program() };
     Ok(if listen.is_some() { serve_page(folder, options)? } else { on_loopback(folder, options)? })
 }
 

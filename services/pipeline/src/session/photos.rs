@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Bytes of decoded photos that are kept; the newest is kept whatever its size.
-const MOST_BYTES: usize = 192 << 20;
+pub(super) const MOST_BYTES: usize = 192 << 20;
 
 /// Photos at working size, those that were read last.
 pub(super) struct DecodedPhotos {

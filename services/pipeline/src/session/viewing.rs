@@ -1,5 +1,6 @@
 //! What a person sees of a session: photos, the scene from any camera, and files of objects.
 
+use super::photos::MOST_BYTES as DECODED_BYTES;
 use super::{Answer, Selected, Session};
 use crate::light::{self, BlendedAppearance};
 use crate::render::{HIGHLIGHT, NOTHING, over_white};
@@ -12,6 +13,12 @@ use segwild_trainer::{Model, SceneLighting, render_lit};
 
 /// Numbers per splat that a highlight blends: colour times share, and share.
 const HIGHLIGHT_CHANNELS: usize = 4;
+
+/// Bytes of a group of the scene tree, with its merge.
+const GROUP_BYTES: usize = 48;
+
+/// Bytes of a photo's decoded pixel.
+const PIXEL_BYTES: usize = 12;
 
 /// What is shown of a scene.
 #[derive(Clone, Debug, Default)]
@@ -48,6 +55,19 @@ impl ShownScene {
 }
 
 impl Session {
+    /// About how many bytes the session takes in memory: splats twice (the segmenter has its own), features, tree, photos.
+    pub fn bytes(&self) -> usize {
+        let splats = &self.model.splats;
+        let of_splats = 4 * (11 * splats.len() + splats.sh.len() + self.model.splat_embeddings.len());
+        let groups: usize = self.tree().map_or(0, |tree| tree.trees.iter().map(|t| t.groups.len()).sum());
+        let pixels = |view: usize| {
+            let camera = self.working_camera(view);
+            camera.width as usize * camera.height as usize
+        };
+        let photos: usize = (0..self.scene.views.len()).map(|view| PIXEL_BYTES * pixels(view)).sum();
+        2 * of_splats + GROUP_BYTES * groups + photos.min(DECODED_BYTES)
+    }
+
     /// Long side in pixels at which photos are worked with.
     pub fn size(&self) -> u32 {
         self.made_with.scene.size

@@ -181,6 +181,13 @@ impl Studio {
         &self.session
     }
 
+    /// About how many bytes it takes in memory.
+    pub fn bytes(&self) -> usize {
+        let shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
+        let shown: usize = shown.iter().map(|cached| cached.scene.bytes()).sum();
+        self.session.bytes() + self.fronts.bytes() + shown
+    }
+
     /// The step of the training that the scene is of; `None` where the training is over.
     pub fn snapshot(&self) -> Option<u32> {
         self.snapshot

@@ -174,7 +174,7 @@ fn a_folder_of_runs_lists_them_and_closes_the_one_that_was_used_longest_ago() {
         .collect();
     std::fs::create_dir(dir.path().join("no-run")).unwrap();
     let options =
-        ServeOptions { most_open: 1, token: Token::of("a-token-of-my-own"), ..ServeOptions::default() };
+        ServeOptions { memory_budget: 1, token: Token::of("a-token-of-my-own"), ..ServeOptions::default() };
     let server = serve(dir.path(), options).unwrap();
     assert_eq!(server.token().text(), "a-token-of-my-own");
     assert!(
