@@ -66,12 +66,10 @@ const CONTINUED: &str = "0.2";
 impl ServedRuns {
     pub fn new(root: &Path, memory_budget: usize, program: Option<PathBuf>) -> ServedRuns {
         let root = root.canonicalize().unwrap_or_else(|_| root.to_owned());
-        // A folder that is not there yet will be a run's.
-        let is_batch = BatchFolder::open(&root).is_some();
-        let holds_runs = is_batch || (!has_ledger(&root) && runs_in(&root).next().is_some());
         ServedRuns {
+            // A folder that is not there yet will be a run's.
+            single: !holds_runs(&root),
             root,
-            single: !holds_runs,
             memory_budget,
             open: Mutex::default(),
             stopper: Stopper::new(),
@@ -247,6 +245,16 @@ impl Drop for ServedRuns {
     fn drop(&mut self) {
         self.stopper.stop();
     }
+}
+
+/// Whether a folder is a run, a batch, or has runs in it.
+pub fn has_runs(folder: &Path) -> bool {
+    has_ledger(folder) || holds_runs(folder)
+}
+
+/// Whether a folder is a batch or has runs in it.
+fn holds_runs(folder: &Path) -> bool {
+    BatchFolder::open(folder).is_some() || (!has_ledger(folder) && runs_in(folder).next().is_some())
 }
 
 fn name_of(folder: &Path) -> String {

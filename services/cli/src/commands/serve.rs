@@ -8,7 +8,7 @@ use crate::progress::on_ctrl_c;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_flow::{Phase, Stopper};
 use segwild_pipeline::RunFolder;
-use segwild_studio::{ServeOptions, StudioServeError, StudioServer, Token, serve as serve_page};
+use segwild_studio::{ServeOptions, StudioServeError, StudioServer, Token, has_runs, serve as serve_page};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
@@ -57,6 +57,13 @@ pub fn serve(matches: &ArgMatches) -> Result<(), Failure> {
     if !folder.is_dir() {
         let message = format!(
             "{}: there is no such folder; `segwild run SCENE --out FOLDER` makes one",
+            folder.display()
+        );
+        return Err(Failure { message, code: exit::FOLDER });
+    }
+    if !has_runs(&folder) {
+        let message = format!(
+            "{}: there is no run in it; `segwild run SCENE --out FOLDER` makes one",
             folder.display()
         );
         return Err(Failure { message, code: exit::FOLDER });

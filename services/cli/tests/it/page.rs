@@ -68,6 +68,9 @@ fn other_machines_are_let_in_only_with_a_token_file_or_a_flag_that_says_so() {
     let run = show(&copied_run(&dir));
     refuses(&["serve", &run, "--listen", "0.0.0.0:0"], 2, &["--token-file", "--insecure"]);
     refuses(&["serve", "no-such-folder"], 6, &["there is no such folder"]);
+    let empty = dir.path().join("empty");
+    std::fs::create_dir(&empty).expect("a folder");
+    refuses(&["serve", &show(&empty)], 6, &["there is no run in it"]);
     let file = dir.path().join("token");
     let (mut child, line) = served(&[&run, "--listen", "0.0.0.0:0", "--token-file", &show(&file)]);
     let token = std::fs::read_to_string(&file).expect("the token was made");

@@ -50,7 +50,7 @@ impl Studio {
     /// Writes the transient masks that an operation, or its undoing, changes.
     pub(super) fn write_transients(&self, state: &StudioState, next: &Document) -> Result<(), StudioError> {
         let (now, then) = (&state.document.objects().transients, &next.objects().transients);
-        for (name, [mask, before]) in now.iter().chain(then) {
+        for (name, [_, before]) in now.iter().chain(then) {
             let wanted = then.get(name).map_or(before, |[wanted, _]| wanted);
             if now.get(name).map_or(before, |[present, _]| present) == wanted {
                 continue;
@@ -60,7 +60,6 @@ impl Studio {
             let empty = || self.session.transient_mask(photo).map(|m| Mask::empty(m.width(), m.height()));
             let wanted = if wanted.is_empty() { empty() } else { state.store.mask(wanted) };
             self.session.correct_transients(photo, &wanted.ok_or(lost)?)?;
-            let _ = mask;
         }
         Ok(())
     }
