@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use axum::Router;
 use hyper::server::conn::http1;
@@ -40,8 +40,6 @@ impl ConnectionLimits {
 pub const MOST: usize = 32;
 /// A request's head must be there after this time.
 pub const HEAD_TIME: Duration = Duration::from_secs(5);
-/// A connection keeps its slot for this time before its request is there, however many others wait.
-const GRACE: Duration = Duration::from_millis(100);
 /// A request's head may have so many bytes.
 pub const HEAD_BYTES: usize = 16 << 10;
 /// Rest after the system refused a connection: it has no descriptor or no memory left.
@@ -62,20 +60,13 @@ pub async fn answer(listener: TcpListener, routes: Router, limits: ConnectionLim
                 continue;
             }
         };
-        let mut freed = free_connections.available_permits() > 0;
-        while !freed {
-            freed = match open.end_a_silent_one() {
-                Slot::Freed => true,
-                Slot::FreeIn(time) => {
-                    tokio::time::sleep(time).await;
-                    free_connections.available_permits() > 0
-                }
-                Slot::None => break,
-            };
-        }
-        if !freed {
-            // All of them are being answered; this one may come again.
-            continue;
+        if free_connections.available_permits() == 0 {
+            // Requests that have arrived are read first: in a crowd, only silent ones lose their slot.
+            tokio::task::yield_now().await;
+            if free_connections.available_permits() == 0 && !open.end_a_silent_one() {
+                // All of them are being answered; this one may come again.
+                continue;
+            }
         }
         // The slot of a connection is free once its socket is closed.
         let Ok(permit) = free_connections.clone().acquire_owned().await else { return };
@@ -122,50 +113,26 @@ async fn requests(
         .await
 }
 
-/// A connection that is open.
-struct OpenConnection {
-    task: AbortHandle,
-    /// Whether a whole request came.
-    received: Arc<AtomicBool>,
-    since: Instant,
-}
-
-/// A slot for a further connection.
-enum Slot {
-    /// There is one.
-    Freed,
-    /// There is one after this time.
-    FreeIn(Duration),
-    /// All connections are being answered.
-    None,
-}
-
-/// The connections that are open, the oldest first.
+/// The connections that are open, the oldest first: each with whether its request came.
 #[derive(Default)]
-struct OpenConnections(VecDeque<OpenConnection>);
+struct OpenConnections(VecDeque<(AbortHandle, Arc<AtomicBool>)>);
 
 impl OpenConnections {
     fn add(&mut self, task: AbortHandle, received: Arc<AtomicBool>) {
-        self.0.retain(|open| !open.task.is_finished());
-        self.0.push_back(OpenConnection { task, received, since: Instant::now() });
+        self.0.retain(|(task, _)| !task.is_finished());
+        self.0.push_back((task, received));
     }
 
-    /// Ends the oldest connection whose request is not there yet, unless it has just come or another has ended by itself.
-    fn end_a_silent_one(&mut self) -> Slot {
+    /// Ends the oldest connection whose request is not there yet; returns whether there was one, or one has ended by itself.
+    fn end_a_silent_one(&mut self) -> bool {
         let before = self.0.len();
-        self.0.retain(|open| !open.task.is_finished());
+        self.0.retain(|(task, _)| !task.is_finished());
         if self.0.len() < before {
-            return Slot::Freed;
+            return true;
         }
-        let silent = self.0.iter().position(|open| !open.received.load(Ordering::Relaxed));
-        let Some(index) = silent else { return Slot::None };
-        let age = self.0[index].since.elapsed();
-        if age < GRACE {
-            return Slot::FreeIn(GRACE - age);
-        }
-        if let Some(open) = self.0.remove(index) {
-            open.task.abort();
-        }
-        Slot::Freed
+        let silent = self.0.iter().position(|(_, received)| !received.load(Ordering::Relaxed));
+        let Some((task, _)) = silent.and_then(|index| self.0.remove(index)) else { return false };
+        task.abort();
+        true
     }
 }

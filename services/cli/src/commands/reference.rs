@@ -2,7 +2,6 @@
 
 use crate::args;
 use clap::{Arg, Command};
-use segwild_pipeline::Settings;
 use std::fmt::Write as _;
 
 /// The page.
@@ -57,7 +56,8 @@ fn section(command: &Command, above: &str, text: &mut String) {
 fn is_own(arg: &Arg) -> bool {
     let id = arg.get_id().as_str();
     let help = ["help", "help-all", "version"].contains(&id);
-    !arg.is_hide_set() && !help && Settings::default().get(&id.replace('-', "_")).is_none()
+    // Settings stand under the headings of their groups.
+    !arg.is_hide_set() && !help && arg.get_help_heading().is_none()
 }
 
 /// An argument as it is written.

