@@ -9,7 +9,7 @@ const { SEGWILD: program = "", SEGWILD_RUN: run = "" } = process.env;
 /** Debian's browser, unless another is named. */
 const executablePath = process.env.CHROMIUM ?? "/usr/bin/chromium";
 /** Software WebGL: there is no GPU in CI. */
-const args = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"];
+const args = ["--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"];
 /** Milliseconds after which something never comes. */
 const LONGEST = 60_000;
 
