@@ -3,7 +3,7 @@
 use crate::document::{KeptObject, ObjectId};
 use crate::regions::{Combination, Region, RegionRule};
 use segwild_pipeline::{AnswerStep, BlendedAppearance};
-use segwild_scene::{BoxPrompt, Camera, PointPrompt, Pose, Prompts};
+use segwild_scene::{Camera, Pose, Prompts};
 use segwild_segmenter::Alternative;
 use serde::{Deserialize, Serialize};
 
@@ -81,28 +81,9 @@ pub struct ListedDescription {
 pub struct ShownPrompts {
     /// Index of the photo.
     pub photo: usize,
-    /// Clicks.
-    #[serde(default)]
-    pub points: Vec<PointPrompt>,
-    /// Boxes.
-    #[serde(default)]
-    pub boxes: Vec<BoxPrompt>,
-    /// 0 is the smallest thing at the clicks, 1 the largest; `null` lets the session choose.
-    #[serde(default)]
-    pub granularity: Option<f32>,
-}
-
-impl ShownPrompts {
-    /// The prompts of a photo.
-    pub fn of(photo: usize, prompts: Prompts) -> ShownPrompts {
-        let Prompts { points, boxes, granularity } = prompts;
-        ShownPrompts { photo, points, boxes, granularity }
-    }
-
-    /// The prompts without their photo.
-    pub fn prompts(&self) -> Prompts {
-        Prompts { points: self.points.clone(), boxes: self.boxes.clone(), granularity: self.granularity }
-    }
+    /// Clicks and boxes.
+    #[serde(flatten)]
+    pub prompts: Prompts,
 }
 
 /// What a person wants done.
@@ -284,7 +265,7 @@ pub struct HoverRequest {
     pub x: f32,
     /// Position, y.
     pub y: f32,
-    /// As in [`ShownPrompts::granularity`].
+    /// As in [`Prompts::granularity`].
     #[serde(default)]
     pub granularity: Option<f32>,
 }

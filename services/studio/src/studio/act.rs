@@ -120,15 +120,16 @@ impl Studio {
     }
 
     pub(super) fn as_taken(&self, prompts: &[ShownPrompts]) -> Result<Vec<PhotoPrompts>, StudioError> {
-        let many = prompts.iter().map(|p| p.points.len() + p.boxes.len()).sum::<usize>();
+        let many = prompts.iter().map(|p| p.prompts.points.len() + p.prompts.boxes.len()).sum::<usize>();
         if many > MOST_PROMPTS {
             return Err(StudioError::Request("a query has 256 clicks and boxes at most"));
         }
-        let with_prompts = prompts.iter().filter(|p| !p.points.is_empty() || !p.boxes.is_empty());
+        let with_prompts =
+            prompts.iter().filter(|p| !p.prompts.points.is_empty() || !p.prompts.boxes.is_empty());
         let taken = |p: &ShownPrompts| {
             self.check_photo(p.photo)?;
             let outside = StudioError::Request("a click lies outside of its photo");
-            self.session.prompts_as_taken(p.photo, &p.prompts()).ok_or(outside)
+            self.session.prompts_as_taken(p.photo, &p.prompts).ok_or(outside)
         };
         with_prompts.map(taken).collect()
     }

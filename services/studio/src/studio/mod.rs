@@ -265,7 +265,7 @@ impl Studio {
         StateMessage {
             revision: state.revision,
             draft: DraftMessage {
-                prompts: shown.map(|(photo, prompts)| ShownPrompts::of(photo, prompts)).collect(),
+                prompts: shown.map(|(photo, prompts)| ShownPrompts { photo, prompts }).collect(),
                 listed: objects.draft.listed.as_ref().map(|listed| listed.number),
                 of: objects.draft.of,
                 alternative: objects.draft.alternative,

@@ -115,11 +115,8 @@ pub fn answered(studio: &Studio) -> StateMessage {
 pub fn click(studio: &Studio, object: usize) -> StudioAction {
     let (photo, [x, y]) = &trained().clicks[object];
     let photo = studio.session().scene().view_named(photo).unwrap();
-    let point = segwild_scene::PointPrompt { x: *x, y: *y, inside: true };
-    StudioAction::Prompt {
-        prompts: vec![ShownPrompts { photo, points: vec![point], ..ShownPrompts::default() }],
-        alternative: 0,
-    }
+    let prompts = segwild_scene::Prompts::click(*x, *y);
+    StudioAction::Prompt { prompts: vec![ShownPrompts { photo, prompts }], alternative: 0 }
 }
 
 /// Clicks an object and keeps the answer.

@@ -4,7 +4,9 @@ use crate::common::{answered, click, keep, open, run, trained, until};
 use segwild_flow::Stopper;
 use segwild_pipeline::{PhotoPrompts, segment};
 use segwild_scene::Prompts;
-use segwild_studio::messages::{FrameRequest, HoverRequest, PickRequest, StudioAction, ViewMessage};
+use segwild_studio::messages::{
+    FrameRequest, HoverRequest, PickRequest, ShownPrompts, StudioAction, ViewMessage,
+};
 use segwild_studio::{Combination, Region, RegionRule, Studio, StudioError};
 use std::sync::Arc;
 
@@ -294,10 +296,8 @@ fn requests_that_make_no_sense_are_refused_and_nothing_is_written() {
     let studio = open(&folder);
     let journal = || std::fs::read(folder.path().join("studio/session.jsonl")).unwrap();
     let before = journal();
-    let point = |x, y| segwild_scene::PointPrompt { x, y, inside: true };
     let prompt = |photo, x, y| {
-        let prompts =
-            segwild_studio::messages::ShownPrompts { photo, points: vec![point(x, y)], ..Default::default() };
+        let prompts = ShownPrompts { photo, prompts: Prompts::click(x, y) };
         StudioAction::Prompt { prompts: vec![prompts], alternative: 0 }
     };
     let mut odd = view(&studio, 0);
