@@ -13,7 +13,6 @@ use segwild_monitor::{ServeError, ViewError};
 use segwild_pipeline::{RunError, SettingsError};
 use segwild_scene::SceneError;
 use segwild_segmenter::SegmentError;
-use segwild_studio::StudioServeError;
 
 /// Why the program ends early.
 #[derive(Debug)]
@@ -140,12 +139,6 @@ impl From<ViewError> for Failure {
 
 impl From<ServeError> for Failure {
     fn from(error: ServeError) -> Failure {
-        Failure { message: error.to_string(), code: exit::USAGE }
-    }
-}
-
-impl From<StudioServeError> for Failure {
-    fn from(error: StudioServeError) -> Failure {
         Failure { message: error.to_string(), code: exit::USAGE }
     }
 }

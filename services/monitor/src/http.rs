@@ -81,17 +81,6 @@ impl Drop for Server {
 /// # Errors
 /// When the address cannot be listened on.
 pub fn serve(address: SocketAddr, folder: PathBuf, per_scene: bool) -> Result<Server, ServeError> {
-    let listener = std::net::TcpListener::bind(address)
-        .and_then(|listener| listener.set_nonblocking(true).map(|()| listener))
-        .map_err(|source| ServeError::Listen { address, source })?;
-    let address = listener.local_addr().map_err(ServeError::Start)?;
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        // Reading a ledger is short, and few requests come at once.
-        .max_blocking_threads(2)
-        .build()
-        .map_err(ServeError::Start)?;
-    let (stop, stopped) = oneshot::channel::<()>();
     let routes = Router::new()
         .route("/", get(index))
         .route("/livez", get(async || "ok\n"))
@@ -99,12 +88,38 @@ pub fn serve(address: SocketAddr, folder: PathBuf, per_scene: bool) -> Result<Se
         .route("/readyz", get(readiness))
         .route("/api/v1/status", get(status))
         .with_state(Arc::new(Served { folder, per_scene, runs: Mutex::default() }));
+    // Reading a ledger is short, and few requests come at once.
+    start(address, ConnectionLimits::ONE_REQUEST, 2, |_| routes)
+}
+
+/// Listens on an address and answers on a thread of its own, with so many threads for what blocks. `routes` are made once the
+/// port is known.
+///
+/// # Errors
+/// When the address cannot be listened on.
+pub fn start(
+    address: SocketAddr,
+    limits: ConnectionLimits,
+    threads: usize,
+    routes: impl FnOnce(SocketAddr) -> Router,
+) -> Result<Server, ServeError> {
+    let listener = std::net::TcpListener::bind(address)
+        .and_then(|listener| listener.set_nonblocking(true).map(|()| listener))
+        .map_err(|source| ServeError::Listen { address, source })?;
+    let address = listener.local_addr().map_err(ServeError::Start)?;
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .max_blocking_threads(threads)
+        .build()
+        .map_err(ServeError::Start)?;
+    let (stop, stopped) = oneshot::channel::<()>();
+    let routes = routes(address);
     let body = move || {
         runtime.block_on(async {
             let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
             // Open connections are not waited for: the work is over.
             tokio::select! {
-                () = answer(listener, routes, ConnectionLimits::ONE_REQUEST) => {}
+                () = answer(listener, routes, limits) => {}
                 _ = stopped => {}
             }
         });

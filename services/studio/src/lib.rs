@@ -33,6 +33,6 @@ mod studio;
 pub use guard::Token;
 pub use regions::{Combination, MOST_POINTS, Region, RegionRule};
 pub use runs::has_runs;
-pub use server::{ServeOptions, StudioServeError, StudioServer, serve};
+pub use server::{ServeOptions, StudioServer, serve};
 pub use store::SelectionStore;
 pub use studio::{ANSWER_COLOUR, COLOURS, Studio, StudioError};

@@ -301,8 +301,5 @@ async fn coco(State(runs): State<Runs>, Path(run): Path<String>) -> Answered {
 async fn object_ply(State(runs): State<Runs>, Path((run, object)): Path<(String, String)>) -> Answered {
     let object = number(&object)?;
     let (name, ply) = answered(&runs, &run, move |studio| studio.object_ply(object)).await?;
-    // A header has plain letters only.
-    let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
-    let name: String = name.chars().map(plain).collect();
     Ok(attached(&format!("{name}.ply"), ply))
 }

@@ -5,12 +5,11 @@ use crate::routes::routes;
 use crate::runs::ServedRuns;
 use axum::extract::DefaultBodyLimit;
 use axum::middleware::from_fn_with_state;
-use segwild_monitor::connections::{ConnectionLimits, answer};
+use segwild_monitor::connections::ConnectionLimits;
+use segwild_monitor::{ServeError, Server, start};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::thread::JoinHandle;
-use tokio::sync::oneshot;
 
 /// Bytes of a request's body at most.
 const MOST_BODY: usize = 1 << 20;
@@ -48,100 +47,43 @@ impl Default for ServeOptions {
     }
 }
 
-/// Why nothing is served.
-#[derive(Debug, thiserror::Error)]
-pub enum StudioServeError {
-    /// The address cannot be listened on.
-    #[error("cannot listen on {address}: {source}")]
-    Listen {
-        /// The address.
-        address: SocketAddr,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// No thread or no secret can be had.
-    #[error("cannot start the server: {0}")]
-    Start(std::io::Error),
-}
-
 /// A running server; dropping it ends it.
 pub struct StudioServer {
-    address: SocketAddr,
+    server: Server,
     token: Token,
-    stop: Option<oneshot::Sender<()>>,
-    thread: Option<JoinHandle<()>>,
 }
 
 impl StudioServer {
     /// The address of the page, with the token.
     pub fn address(&self) -> String {
-        format!("http://{}/?token={}", self.address, self.token.text())
+        format!("http://{}/?token={}", self.socket(), self.token.text())
     }
 
     /// Where it listens.
     pub fn socket(&self) -> SocketAddr {
-        self.address
+        self.server.address()
     }
 
     /// The token.
     pub fn token(&self) -> &Token {
         &self.token
     }
-
-    /// Waits until the server ends.
-    pub fn wait(mut self) {
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
-    }
-}
-
-impl Drop for StudioServer {
-    fn drop(&mut self) {
-        drop(self.stop.take());
-        if let Some(thread) = self.thread.take() {
-            // A server that panicked has written that to stderr already.
-            let _ = thread.join();
-        }
-    }
 }
 
 /// Serves a run, or the runs of a folder, on threads of its own.
 ///
 /// # Errors
-/// When the address cannot be listened on.
-pub fn serve(folder: &Path, options: ServeOptions) -> Result<StudioServer, StudioServeError> {
+/// When the address cannot be listened on, or no secret can be had.
+pub fn serve(folder: &Path, options: ServeOptions) -> Result<StudioServer, ServeError> {
     let ServeOptions { address, token, memory_budget, program } = options;
-    let token = match token {
-        Some(token) => token,
-        None => Token::random().map_err(StudioServeError::Start)?,
-    };
-    let listener = std::net::TcpListener::bind(address)
-        .and_then(|listener| listener.set_nonblocking(true).map(|()| listener))
-        .map_err(|source| StudioServeError::Listen { address, source })?;
-    let address = listener.local_addr().map_err(StudioServeError::Start)?;
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .max_blocking_threads(THREADS)
-        .build()
-        .map_err(StudioServeError::Start)?;
-    let (stop, stopped) = oneshot::channel::<()>();
-    let runs = Arc::new(ServedRuns::new(folder, memory_budget, program));
-    runs.open_first();
-    let guards = Arc::new(Guard { token: token.clone(), address, loopback: address.ip().is_loopback() });
-    let routes =
-        routes(runs).layer(DefaultBodyLimit::max(MOST_BODY)).layer(from_fn_with_state(guards, guard));
-    let body = move || {
-        runtime.block_on(async {
-            let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
-            tokio::select! {
-                () = answer(listener, routes, CONNECTIONS) => {}
-                _ = stopped => {}
-            }
-        });
-        runtime.shutdown_background();
-    };
-    let thread =
-        std::thread::Builder::new().name("studio".into()).spawn(body).map_err(StudioServeError::Start)?;
-    Ok(StudioServer { address, token, stop: Some(stop), thread: Some(thread) })
+    let token = token.map_or_else(Token::random, Ok).map_err(ServeError::Start)?;
+    let server = start(address, CONNECTIONS, THREADS, |address| {
+        let runs = Arc::new(ServedRuns::new(folder, memory_budget, program));
+        runs.open_first();
+        let guards = Guard { token: token.clone(), address, loopback: address.ip().is_loopback() };
+        routes(runs)
+            .layer(DefaultBodyLimit::max(MOST_BODY))
+            .layer(from_fn_with_state(Arc::new(guards), guard))
+    })?;
+    Ok(StudioServer { server, token })
 }

@@ -7,8 +7,9 @@ use crate::failure::Failure;
 use crate::progress::on_ctrl_c;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_flow::{Phase, Stopper};
+use segwild_monitor::ServeError;
 use segwild_pipeline::RunFolder;
-use segwild_studio::{ServeOptions, StudioServeError, StudioServer, Token, has_runs, serve as serve_page};
+use segwild_studio::{ServeOptions, StudioServer, Token, has_runs, serve as serve_page};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
@@ -129,7 +130,7 @@ pub fn stay(server: Option<StudioServer>, stopper: &Stopper) {
 }
 
 /// Serves on the usual port, or on a free one where that is taken.
-fn on_loopback(folder: &Path, options: ServeOptions) -> Result<StudioServer, StudioServeError> {
+fn on_loopback(folder: &Path, options: ServeOptions) -> Result<StudioServer, ServeError> {
     let at = |port| ServeOptions { address: (Ipv4Addr::LOCALHOST, port).into(), ..options.clone() };
     serve_page(folder, at(PORT)).or_else(|_| serve_page(folder, at(0)))
 }

@@ -108,7 +108,7 @@ impl Objects {
 
     /// The number that the next object gets.
     pub fn next_id(&self) -> ObjectId {
-        self.next + 1
+        self.next.saturating_add(1)
     }
 
     /// A name that no object has: the given one, with a number if it is taken.

@@ -26,7 +26,7 @@ export const strings = {
   no_objects: "Nothing is kept yet.", colour: "Colour of {0}", show: "Show {0}", hide: "Hide {0}", lock: "Lock {0}", unlock: "Unlock {0}",
   isolate: "Show {0} alone", show_all: "Show everything", rename: "Rename {0}", remove: "Delete {0}", duplicate: "Duplicate {0}",
   refine: "Refine {0} by clicks", grow: "Grow {0}", shrink: "Shrink {0}", union: "Add another object to {0}",
-  subtract: "Subtract another object from {0}", with_object: "Combine with", export_ply: "Save {0} as .ply",
+  subtract: "Subtract another object from {0}", export_ply: "Save {0} as .ply",
   spikes: "Cut spikes",
   short_hide: "hide", short_show: "show", short_lock: "lock", short_unlock: "unlock", short_alone: "alone", short_refine: "refine",
   short_copy: "duplicate", short_grow: "grow", short_shrink: "shrink", short_union: "add", short_subtract: "subtract", short_ply: ".ply",

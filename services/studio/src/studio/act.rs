@@ -148,8 +148,10 @@ impl Studio {
 
     /// The name of a new object: that of the listed one, or a number.
     pub(super) fn name_for(&self, draft: &ObjectDraft, id: ObjectId) -> String {
-        let listed =
-            draft.listed.as_ref().and_then(|query| self.listed.as_ref()?.objects.get(query.number - 1));
+        let listed = draft
+            .listed
+            .as_ref()
+            .and_then(|query| self.listed.as_ref()?.objects.get(query.number.checked_sub(1)?));
         let named = listed.map(|object| object.name.clone()).filter(|name| !name.is_empty());
         named.unwrap_or_else(|| format!("object {id}"))
     }

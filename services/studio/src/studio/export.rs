@@ -13,7 +13,7 @@ impl Studio {
         state.store.get(&selection).ok_or(LOST)
     }
 
-    /// An object as a `.ply`, and its name. It has its own appearance where it has one, and the scene's otherwise.
+    /// An object as a `.ply`, and the name of its file without the ending. It has its own appearance where it has one, and the scene's otherwise.
     ///
     /// # Errors
     /// When there is no such object, or its splats are lost.
@@ -25,7 +25,7 @@ impl Studio {
             (objects.get(id)?.clone(), objects.appearance.clone())
         };
         let appearance = object.appearance.unwrap_or(scene);
-        Ok((object.name, self.session.object_ply(&selected, &appearance)?))
+        Ok((file_stem(&object.name), self.session.object_ply(&selected, &appearance)?))
     }
 
     /// The names of the kept objects, and per splat of the scene the number of its object from 1, 0 for none.
@@ -70,8 +70,7 @@ impl Studio {
                 "a tool made or changed this object: its splats can be exported, but a selection of the run is made by prompts alone",
             ));
         }
-        let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
-        let name: String = object.name.chars().map(plain).collect();
+        let name = file_stem(&object.name);
         let replay = self.replay(&object.draft);
         let answer =
             self.session.ask(&replay, &self.settings_of(&replay), &Stopper::new())?.wait(|_, _| ())?;
@@ -88,4 +87,10 @@ impl Studio {
         let path = ObjectList::sheet(self.session.folder());
         Ok(segwild_flow::files::read_plain(&path).map_err(|e| FileError::new("read", &path, e))?)
     }
+}
+
+/// An object's name as that of a file or a selection: other signs than letters, digits, dashes and dots become underscores.
+fn file_stem(name: &str) -> String {
+    let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
+    name.chars().map(plain).collect()
 }

@@ -50,7 +50,8 @@ impl Studio {
     /// Writes the transient masks that an operation, or its undoing, changes.
     pub(super) fn write_transients(&self, state: &StudioState, next: &Document) -> Result<(), StudioError> {
         let (now, then) = (&state.document.objects().transients, &next.objects().transients);
-        for (name, [_, before]) in now.iter().chain(then) {
+        let added = then.iter().filter(|(name, _)| !now.contains_key(*name));
+        for (name, [_, before]) in now.iter().chain(added) {
             let wanted = then.get(name).map_or(before, |[wanted, _]| wanted);
             if now.get(name).map_or(before, |[present, _]| present) == wanted {
                 continue;

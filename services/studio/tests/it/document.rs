@@ -96,6 +96,14 @@ fn the_number_of_a_deleted_object_is_never_used_again() {
     assert_eq!(document.objects().next_id(), 2);
 }
 
+#[test]
+fn the_largest_number_in_a_journal_of_somebody_else_leaves_no_further_one_and_ends_nothing() {
+    let mut document = Document::default();
+    document.enter(&JournalEntry::Apply(paint(u32::MAX))).unwrap();
+    let next = document.objects().next_id();
+    assert!(document.enter(&JournalEntry::Apply(paint(next))).is_err());
+}
+
 fn written(path: &Path) -> Document {
     let mut opened = Journal::open(path, "scene").unwrap();
     for operation in all() {

@@ -154,7 +154,7 @@ impl StudioFigures {
             first_answer_s,
             last_answer_s,
             frames_per_s,
-            memory: [peak_bytes(), own],
+            memory: [segwild_flow::cpu::peak_memory(), own],
         })
     }
 
@@ -189,13 +189,6 @@ impl StudioFigures {
         );
         row
     }
-}
-
-/// Bytes that this process had in memory at most; `None` where the system does not say.
-fn peak_bytes() -> Option<u64> {
-    let text = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-    Some(line.split_whitespace().next()?.parse::<u64>().ok()? << 10)
 }
 
 /// A camera at the frames' size.
