@@ -77,11 +77,12 @@ fn a_page_with_the_oracles_figures_has_the_word_in_its_title_and_first_sentence(
 #[test]
 fn a_generated_page_names_provider_command_commit_and_machine() {
     for page in pages(&root().join("docs")) {
+        // Pages of reference are generated from definitions, and have no figures.
+        if page.parent().is_some_and(|p| p.ends_with("reference")) {
+            continue;
+        }
         let text = read(&page);
-        if text.contains("This page is generated")
-            && !page.ends_with("settings.md")
-            && !page.ends_with("expert-settings.md")
-        {
+        if text.contains("This page is generated") {
             for word in ["Provider: ", "Command: `segwild bench", "Commit: ", "Machine: "] {
                 assert!(text.contains(word), "{}: {word}", page.display());
             }
