@@ -1,4 +1,4 @@
-// One step of the optimiser (twin: `Adam::step` in raster/src/adam.rs). One thread per number; numbers come in items of a
+// One step of the optimiser (twin: `Adam::step` in objective/src/adam.rs). One thread per number; numbers come in items of a
 // few, one item per splat.
 #import common
 

@@ -1,5 +1,5 @@
 // Adds the output of the small networks for a piece of splats to their colours (twin: `tint` in
-// raster/src/appearance/gsw/points.rs). One thread per splat.
+// objective/src/appearance/gsw/points.rs). One thread per splat.
 #import common
 
 // x: splats of a piece, y: first of the piece, z: where the networks' colours start.

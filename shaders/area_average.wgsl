@@ -1,4 +1,4 @@
-// Averages of a view's pixels over the cells of the embedding's grid (twin: `AreaAverage::forward` in raster/src/field/area.rs).
+// Averages of a view's pixels over the cells of the embedding's grid (twin: `AreaAverage::forward` in objective/src/field/area.rs).
 // A thread per cell and vec4 of channels.
 #import common
 #import cells

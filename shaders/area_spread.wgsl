@@ -1,5 +1,5 @@
 // The backward pass of `area_average`, weighted: the gradients of a view's pixels (twin: `AreaAverage::transposed` in
-// raster/src/field/area.rs). A thread per pixel and vec4 of channels.
+// objective/src/field/area.rs). A thread per pixel and vec4 of channels.
 #import common
 #import cells
 

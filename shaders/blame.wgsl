@@ -1,5 +1,5 @@
 // Blame of each part of a photo: its mean residual relative to the limit for transients (twin: `blame` in
-// raster/src/compare/visible.rs). One thread per part.
+// objective/src/transients/visibility.rs). One thread per part.
 #import common
 #import loss_inputs
 

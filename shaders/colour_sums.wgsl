@@ -1,4 +1,4 @@
-// Sums by which a photo pulls the one background colour (twin: `ColourSums::of` in raster/src/compare/background.rs).
+// Sums by which a photo pulls the one background colour (twin: `ColourSums::of` in objective/src/background.rs).
 // One thread per pixel.
 #import common
 #import loss_inputs

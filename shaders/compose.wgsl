@@ -1,5 +1,5 @@
 // A frame over its background in the colours of its photo, and its residual (twin: `compose` in
-// raster/src/compare/mod.rs). One thread per pixel.
+// objective/src/compare.rs). One thread per pixel.
 #import common
 #import view
 #import loss_inputs

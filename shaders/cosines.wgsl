@@ -1,5 +1,5 @@
 // Products of a part of every row's numbers with some queries, added to those of the other parts, and the squares of the row
-// itself (twin: `score` in raster/src/field/similarity.rs). A thread per row.
+// itself (twin: `score` in objective/src/field/similarity.rs). A thread per row.
 #import common
 
 // x: rows, y: queries, z: vec4 of a query, w: where the part starts in it.

@@ -1,4 +1,4 @@
-// The embedding loss and its gradient (twin: `embedding_loss` in raster/src/field/embedding.rs). A thread per number of the
+// The embedding loss and its gradient (twin: `embedding_loss` in objective/src/field/embedding.rs). A thread per number of the
 // planes.
 #import common
 #import sum

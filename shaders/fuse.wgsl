@@ -1,5 +1,5 @@
 // The cosines of every row to some queries as one number, each weighted by how large it is (twin: `fuse` in
-// raster/src/field/similarity.rs; paper Eq. 27). A thread per row.
+// objective/src/field/similarity.rs; paper Eq. 27). A thread per row.
 #import common
 
 // x: rows, y: queries, z: bits of one over the temperature.

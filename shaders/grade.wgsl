@@ -1,5 +1,5 @@
 // From the gradient of the shown colours to those of the blended image, of its alpha and of the photo's matrix (twins:
-// `matrix_backward` in raster/src/appearance/affine.rs, `alpha_gradient` in raster/src/compare/mod.rs). One thread per
+// `matrix_backward` in objective/src/appearance/affine.rs, `alpha_gradient` in objective/src/compare.rs). One thread per
 // pixel.
 #import common
 #import view

@@ -1,4 +1,4 @@
-// Which splats are in sight (twin: `in_sight` in raster/src/appearance/gsw/points.rs): 1 for those that are, and 0
+// Which splats are in sight (twin: `in_sight` in objective/src/appearance/gsw/points.rs): 1 for those that are, and 0
 // after the last.
 #import common
 

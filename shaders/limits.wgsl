@@ -1,4 +1,4 @@
-// The residuals from which on a pixel is left out (twin: `limits` in raster/src/compare/robust.rs). One thread: it goes
+// The residuals from which on a pixel is left out (twin: `limits` in objective/src/transients/residuals.rs). One thread: it goes
 // over the bins a few times.
 #import common
 #import loss_inputs

@@ -1,5 +1,5 @@
 // Number of other sampled pixels that share a mask with each, and number of those that share none (twin: `compactness`
-// in raster/src/field/compact.rs). A workgroup per pixel.
+// in objective/src/field/compact.rs). A workgroup per pixel.
 #import common
 #import sum
 #import masks

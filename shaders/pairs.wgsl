@@ -1,5 +1,5 @@
 // From the cosines of pairs of sampled pixels to the compactness loss and its gradients (twin: `compactness` in
-// raster/src/field/compact.rs). A workgroup per pixel, over the columns of a piece.
+// objective/src/field/compact.rs). A workgroup per pixel, over the columns of a piece.
 #import common
 #import layer
 #import sum

@@ -1,5 +1,5 @@
 // Compacts the splats in sight, by running sums of `in_sight` (twin: `in_sight` in
-// raster/src/appearance/gsw/points.rs). One thread per splat.
+// objective/src/appearance/gsw/points.rs). One thread per splat.
 #import common
 
 // x: splats.

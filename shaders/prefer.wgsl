@@ -1,5 +1,5 @@
 // Replaces the robust mask's weights by those of the visibility map, where these are plausible (twin: `is_sane` in
-// raster/src/compare/visible.rs). One thread per pixel.
+// objective/src/transients/visibility.rs). One thread per pixel.
 #import common
 #import loss_inputs
 #import sum

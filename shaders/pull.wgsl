@@ -1,4 +1,4 @@
-// Gradients of a piece's features from those of its unit features (twin: `compactness` in raster/src/field/compact.rs).
+// Gradients of a piece's features from those of its unit features (twin: `compactness` in objective/src/field/compact.rs).
 // A thread per pixel of the piece.
 #import common
 #import layer

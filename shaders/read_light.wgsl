@@ -1,6 +1,6 @@
 // Inputs of the small networks for a piece of splats: dynamic features sampled from the photo's maps, intrinsic
 // features, encoded positions and viewing directions (twins: `run`, `encode` and `direction` in
-// raster/src/appearance/gsw/points.rs). One thread per splat.
+// objective/src/appearance/gsw/points.rs). One thread per splat.
 #import common
 #import reader
 

@@ -1,5 +1,5 @@
 // From the gradients of the small networks' inputs to those of the splats' embeddings. The gradients of the samples
-// stay where they are, for `map_sums` (twin: `piece_backward` in raster/src/appearance/gsw/points.rs). One thread per
+// stay where they are, for `map_sums` (twin: `piece_backward` in objective/src/appearance/gsw/points.rs). One thread per
 // splat.
 #import common
 #import reader

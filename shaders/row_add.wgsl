@@ -1,5 +1,5 @@
 // Adds the sums of a view to those of the rows that it sees and whose numbers are all finite (twin: `Lifting::add` in
-// raster/src/field/lifting.rs). One thread per row.
+// objective/src/field/lifting.rs). One thread per row.
 #import common
 
 // x: rows, y: vec4 of a row's part, z: where the weight lies in the last part.

@@ -1,5 +1,5 @@
 // Flags per row, from a part of its gradients: whether it has a gradient, and whether one is not finite (twin:
-// `RowAdam::step` in raster/src/field/rows.rs). One thread per row.
+// `RowAdam::step` in objective/src/field/rows.rs). One thread per row.
 #import common
 
 // x: rows, y: vec4 of a row's part.

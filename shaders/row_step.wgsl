@@ -1,5 +1,5 @@
 // One step of the optimiser for rows with a gradient, by a part of their gradients (twin: `RowAdam::step` in
-// raster/src/field/rows.rs). One thread per row.
+// objective/src/field/rows.rs). One thread per row.
 #import common
 
 // x: rows, y: vec4 of a row's part of the gradients, z: those of its part of the values (in the lower half) and where

@@ -1,4 +1,4 @@
-// The features of sampled pixels, plane by plane (twin: `Refining::compute_losses` in raster/src/field/mod.rs). A
+// The features of sampled pixels, plane by plane (twin: `Refining::compute_losses` in objective/src/field/mod.rs). A
 // thread per pixel and vec4 of channels.
 #import common
 

@@ -1,5 +1,5 @@
 // Weights of a photo's pixels by its visibility map, and how much the map and the robust mask leave out (twins:
-// `weights` and `is_sane` in raster/src/compare/visible.rs). One thread per pixel.
+// `weights` and `is_sane` in objective/src/transients/visibility.rs). One thread per pixel.
 #import common
 #import loss_inputs
 #import sum

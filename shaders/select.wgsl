@@ -1,5 +1,5 @@
 // Numbers of the splats after density control, selected from those of their parents (twins: `Adam::select` and
-// `Adam::forget` in raster/src/adam.rs). One thread per number; numbers come in items of a few, one item per splat.
+// `Adam::forget` in objective/src/adam.rs). One thread per number; numbers come in items of a few, one item per splat.
 #import common
 
 // x: numbers, y: numbers of an item, z: 1 if items of forgotten splats become 0, w: how many of an item's numbers are

@@ -1,5 +1,5 @@
 // Sums for the sky over a photo's sky and whatever else no splat covers (twin: `SkySums::of_photo` in
-// raster/src/compare/background.rs). One thread per pixel of a coarse grid, then one per sum over those of the group.
+// objective/src/background.rs). One thread per pixel of a coarse grid, then one per sum over those of the group.
 #import common
 #import view
 #import loss_inputs

@@ -1,5 +1,5 @@
 // Gradient of the loss by one channel of the shown colours, from SSIM's derivatives and the absolute difference (twin:
-// `GradientPass` in raster/src/loss.rs). A group per tile.
+// `GradientPass` in objective/src/losses.rs). A group per tile.
 #import common
 #import view
 #import loss_inputs

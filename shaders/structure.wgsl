@@ -1,5 +1,5 @@
 // SSIM of one channel and its derivatives by the render's mean, the sum of squares and the product (twin: `Across` in
-// raster/src/loss.rs). A group per tile.
+// objective/src/losses.rs). A group per tile.
 #import common
 #import view
 #import loss_inputs

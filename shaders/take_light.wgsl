@@ -1,5 +1,5 @@
 // The gradients of the colours of a piece's splats, plane by plane: the backward pass of the small networks starts from
-// them (twin: `piece_backward` in raster/src/appearance/gsw/points.rs). One thread per splat.
+// them (twin: `piece_backward` in objective/src/appearance/gsw/points.rs). One thread per splat.
 #import common
 
 // x: splats of a piece, y: first of the piece, z: where the networks' colours start.

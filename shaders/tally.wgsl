@@ -1,4 +1,4 @@
-// Histogram of the residuals (twin: `leave_out` in raster/src/compare/robust.rs). One thread per pixel.
+// Histogram of the residuals (twin: `leave_out` in objective/src/transients/residuals.rs). One thread per pixel.
 #import common
 #import loss_inputs
 #import bins

@@ -1,4 +1,4 @@
-// Colours of the splats in a photo's light (twin: `EmbedAppearance::tint` in raster/src/appearance/embed.rs). One thread per splat.
+// Colours of the splats in a photo's light (twin: `EmbedAppearance::tint` in objective/src/appearance/embed.rs). One thread per splat.
 #import common
 #import light
 

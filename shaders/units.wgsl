@@ -1,5 +1,5 @@
 // Unit features of sampled pixels; 0 for those that take no part: in no mask, or of length 0 (twin: `compactness` in
-// raster/src/field/compact.rs). A thread per pixel.
+// objective/src/field/compact.rs). A thread per pixel.
 #import common
 
 // x: pixels, y: channels.

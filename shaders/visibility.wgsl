@@ -1,4 +1,4 @@
-// Gradient of the visibility head's plane (twin: `visibility_gradient` in raster/src/appearance/gsw/mod.rs). One workgroup.
+// Gradient of the visibility head's plane (twin: `visibility_gradient` in objective/src/appearance/gsw/mod.rs). One workgroup.
 #import common
 #import sum
 

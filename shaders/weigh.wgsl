@@ -1,5 +1,5 @@
 // Weights of the pixels: outliers are left out where most of their neighbours are outliers (twins: `leave_out` in
-// raster/src/compare/robust.rs, `pixel_weights` and `weighted_psnr` in raster/src/compare/mod.rs). One thread per
+// objective/src/transients/residuals.rs, `pixel_weights` and `weighted_psnr` in objective/src/compare.rs). One thread per
 // pixel.
 #import common
 #import loss_inputs

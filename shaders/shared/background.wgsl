@@ -1,4 +1,4 @@
-// The background (twins: `direction`, `basis` and `background` in raster/src/compare/background.rs).
+// The background (twins: `direction`, `basis` and `background` in objective/src/background.rs).
 fn direction_through(view: View, x: u32, y: u32) -> vec3f {
     let p = vec2f(f32(x) + 0.5, f32(y) + 0.5);
     let ray = (p - view.lens.zw) / view.lens.xy;

@@ -1,4 +1,4 @@
-// Bins of residuals (twins: `bin` and `bin_top` in raster/src/compare/robust.rs).
+// Bins of residuals (twins: `bin` and `bin_top` in objective/src/transients/residuals.rs).
 fn bin_of(residual: f32) -> u32 {
     // NaN falls in the last bin.
     if !finite(residual) {

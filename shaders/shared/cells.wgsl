@@ -1,4 +1,4 @@
-// Which pixels a cell of the embedding's grid averages (`AreaAverage` in raster/src/field/area.rs), as the host lays it
+// Which pixels a cell of the embedding's grid averages (`AreaAverage` in objective/src/field/area.rs), as the host lays it
 // out in services/gpu/src/field/feature_target.rs: width and height of the view, then of the grid; where the columns'
 // windows start, the rows', the parts of each column of pixels, of each row; windows (first pixel, pixels, where their
 // weights start), parts (first cell, cells), and the bits of the weights.

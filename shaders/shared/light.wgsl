@@ -1,4 +1,4 @@
-// Parameters of a photo in the appearance model `embed` (`PHOTO` in raster/src/appearance/embed.rs): a matrix with
+// Parameters of a photo in the appearance model `embed` (`PHOTO` in objective/src/appearance/embed.rs): a matrix with
 // offset, row by row, and a vector of eight numbers per colour channel. A splat's embedding is laid out as the vector.
 struct Photo {
     matrix: array<vec4f, 3>,

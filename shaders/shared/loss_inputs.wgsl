@@ -1,4 +1,4 @@
-// Inputs of the losses of a photo (`LossInputs` in raster/src/compare/mod.rs), as the host lays them out (`LossUniform`
+// Inputs of the losses of a photo (`LossInputs` in objective/src/compare.rs), as the host lays them out (`LossUniform`
 // in services/gpu/src/compare.rs).
 struct LossInputs {
     // The photo's colours from the scene's: a row per channel, the offset in w.

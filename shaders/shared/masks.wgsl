@@ -1,4 +1,4 @@
-// Jaccard similarity of two sets of masks (twin: `Membership::similarity` in raster/src/field/membership.rs), of so
+// Jaccard similarity of two sets of masks (twin: `Membership::similarity` in objective/src/field/membership.rs), of so
 // many words of bits each, in `sets`.
 fn similarity(a: u32, b: u32, words: u32) -> f32 {
     var both = 0u;

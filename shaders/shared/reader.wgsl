@@ -1,4 +1,4 @@
-// Inputs for sampling the light of a photo (`run` in raster/src/appearance/gsw/points.rs), as the host lays them out
+// Inputs for sampling the light of a photo (`run` in objective/src/appearance/gsw/points.rs), as the host lays them out
 // (`ReaderUniform` in services/gpu/src/nets/points.rs). SAMPLE, MAPS, INTRINSIC, EMBEDDING_SIZE, COORDINATE, DROPPED and OFF_MAP
 // are constants of the appearance model `gsw`.
 struct Reader {
@@ -41,7 +41,7 @@ fn spot_at(reader: Reader, at: vec2f) -> Spot {
 }
 
 // Projects a splat into the photo (twins: `ImageConditioning::pixel_of` in
-// raster/src/appearance/gsw/image_conditioning.rs, `spots` in points.rs there).
+// objective/src/appearance/gsw/image_conditioning.rs, `spots` in points.rs there).
 fn spot_of(reader: Reader, mean: vec3f) -> Spot {
     let at = vec4f(mean, 1.0);
     let p = vec3f(dot(reader.pose[0], at), dot(reader.pose[1], at), dot(reader.pose[2], at));

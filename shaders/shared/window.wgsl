@@ -1,4 +1,4 @@
-// The window of SSIM around the pixels of a tile (`WINDOW` in raster/src/loss.rs): from its middle outwards.
+// The window of SSIM around the pixels of a tile (`WINDOW` in objective/src/losses.rs): from its middle outwards.
 const REACH: u32 = 5u;
 const WINDOW = array<f32, 6>(
     0.26601172, 0.21300553, 0.10936069, 0.03600077, 0.00759876, 0.00102838,

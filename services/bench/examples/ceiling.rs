@@ -9,7 +9,7 @@ use segwild_bench::oracle::OracleOptions;
 use segwild_bench::synthetic::{ObjectKind, SyntheticOptions};
 use segwild_bench::trial::{ProviderKind, Trial};
 use segwild_pipeline::{RunOptions, Settings, run};
-use segwild_raster::{Channels, CpuEngine, Engine};
+use segwild_raster::{Channels, CpuEngine, Rasterizer};
 use segwild_scene::Mask;
 use segwild_segmenter::coverage::{coverage, soft, unoccluded};
 use segwild_segmenter::{Evidence, MaskMode, Vote, owned};

@@ -18,7 +18,7 @@ use segwild_pipeline::{
     Loaded, PhotoPrompts, RunError, RunFolder, RunOptions, Settings, SettingsError, Summary, Until, run,
     score, segment,
 };
-use segwild_raster::{CpuEngine, Engine};
+use segwild_raster::{CpuEngine, Rasterizer};
 use segwild_scene::{BoxPrompt, Mask, MaskFiles, PointPrompt, Prompts, Scene, SceneError};
 use segwild_vision::Providers;
 use serde::{Deserialize, Serialize};

@@ -5,7 +5,8 @@ use crate::{
     build,
 };
 use segwild_flow::{Actor, ActorFailure, Cache, Context, Key, Message, Origin, Quarantined, Sender, fault};
-use segwild_raster::{Engine, ProjectOptions};
+use segwild_objective::Engine;
+use segwild_raster::ProjectOptions;
 use segwild_scene::{Embedding, Image, Mask, MaskSet, Scene, Splats, View};
 use segwild_vision::Embedder;
 use std::ops::ControlFlow;

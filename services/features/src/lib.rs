@@ -2,7 +2,7 @@
 //! section 4; paper Eq. 9-14).
 //!
 //! Embeddings are sampled ([`EmbeddingSamples`]), compressed ([`Pca`]) and become targets ([`ViewTarget`]); [`build`]
-//! lifts these onto the splats ([`Lifter`]) and refines them by the losses of [`segwild_raster::field`] to a
+//! lifts these onto the splats ([`Lifter`]) and refines them by the losses of [`segwild_objective::field`] to a
 //! [`FeatureField`].
 
 mod actor;

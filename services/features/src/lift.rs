@@ -2,8 +2,9 @@
 
 use crate::FeatureError;
 use crate::error::check_planes;
-use segwild_raster::field::Lifting;
-use segwild_raster::{Engine, Projected};
+use segwild_objective::FieldBackend;
+use segwild_objective::field::Lifting;
+use segwild_raster::Projected;
 use segwild_scene::Image;
 
 /// Gathers `f_i = sum(w alpha T t) / sum(w alpha T)` over photos that arrive one at a time: the minimiser of
@@ -31,7 +32,7 @@ impl Lifter {
     }
 
     /// Keeps the sums in the memory of the engine whose projections are added.
-    pub fn settle(&mut self, engine: &dyn Engine) -> Result<(), FeatureError> {
+    pub fn settle(&mut self, engine: &dyn FieldBackend) -> Result<(), FeatureError> {
         Ok(self.sums.settle(engine)?)
     }
 
@@ -65,7 +66,7 @@ impl Lifter {
             let want = self.splats;
             return Err(FeatureError::Shape(format!("{name}: a projection of {seen} splats, wanted {want}")));
         }
-        Ok(projected.lift(&mut self.sums, &weighted)?)
+        Ok(self.sums.add(projected, &weighted)?)
     }
 
     /// The features.

@@ -9,10 +9,11 @@ use crate::{
     Compression, FeatureDecoder, FeatureError, FeatureField, FeatureSettings, Lifter, Pca, TargetSource,
     ViewTarget,
 };
-use segwild_raster::field::{
+use segwild_objective::field::{
     AreaAverage, FeatureTarget, FieldLosses, FieldRule, LearnedDecoder, Membership, Refining, SampledPixels,
 };
-use segwild_raster::{Engine, ProjectOptions, Projected};
+use segwild_objective::{Engine, FieldBackend};
+use segwild_raster::{ProjectOptions, Projected, Rasterizer};
 use segwild_scene::{Embedding, Image, Random, Splats};
 use std::any::Any;
 use std::ops::ControlFlow;
@@ -59,8 +60,8 @@ pub fn build(
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<FeatureField, FeatureError> {
     let held = engine.hold(splats)?;
-    let engine = held.as_deref().unwrap_or(engine);
-    let mut views = Views::new(engine, splats, source, pca, settings, options);
+    let rasterizer = held.as_deref().unwrap_or(engine);
+    let mut views = Views::new(rasterizer, engine, splats, source, pca, settings, options);
     let mut lifter = Lifter::new(splats.len(), pca.channels);
     lifter.settle(engine)?;
     for i in 0..source.len() {
@@ -121,7 +122,7 @@ fn refine(
             (&unused, Vec::new())
         };
         let rendered = SampledPixels { pixels: &pixels, membership: &members.membership };
-        view.projected.refine(&mut refining, &view.feature_target(), &rendered)?;
+        refining.step(&*view.projected, &view.feature_target(), &rendered)?;
         let done = step + 1;
         let losses = if step == 0 || done % LOSS_INTERVAL == 0 { Some(refining.losses()?) } else { None };
         if progress(Progress::Refined { done, of, losses }).is_break() {
@@ -201,7 +202,8 @@ impl Prepared<'_> {
 
 /// The prepared views, kept while memory allows.
 struct Views<'a> {
-    engine: &'a dyn Engine,
+    rasterizer: &'a dyn Rasterizer,
+    engine: &'a dyn FieldBackend,
     splats: &'a Splats,
     source: &'a dyn TargetSource,
     settings: &'a FeatureSettings,
@@ -215,7 +217,8 @@ struct Views<'a> {
 
 impl<'a> Views<'a> {
     fn new(
-        engine: &'a dyn Engine,
+        rasterizer: &'a dyn Rasterizer,
+        engine: &'a dyn FieldBackend,
         splats: &'a Splats,
         source: &'a dyn TargetSource,
         pca: &Pca,
@@ -228,7 +231,7 @@ impl<'a> Views<'a> {
         };
         let kept = (0..source.len()).map(|_| None).collect();
         let memory = settings.feature_memory as usize * (1 << 20);
-        Views { engine, splats, source, settings, options, wanted, scale, kept, memory }
+        Views { rasterizer, engine, splats, source, settings, options, wanted, scale, kept, memory }
     }
 
     fn get(&mut self, i: usize) -> Result<Arc<Prepared<'a>>, FeatureError> {
@@ -266,7 +269,7 @@ impl<'a> Views<'a> {
         }
         let camera = target.camera.scaled_to(self.settings.feature_size.max(1));
         let (w, h) = (camera.width as usize, camera.height as usize);
-        let projected = self.engine.project(self.splats, &camera, &target.pose, self.options)?;
+        let projected = self.rasterizer.project(self.splats, &camera, &target.pose, self.options)?;
         let mut vm = target.validity.clone();
         vm.data.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
         let cells = AreaAverage::new((vm.width, vm.height), (grid.width, grid.height)).forward(&vm).data;

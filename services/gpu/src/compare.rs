@@ -1,4 +1,4 @@
-//! The photo's half of a training step on the device: the twin of [`segwild_raster::compare`], kernel by kernel.
+//! The photo's half of a training step on the device: the twin of [`segwild_objective::compare`], kernel by kernel.
 
 use crate::GpuError;
 use crate::device::{DeviceWork, PooledBuffer, lock};
@@ -10,11 +10,12 @@ use crate::shaders::{
     TOTAL, WEIGH,
 };
 use bytemuck::{Pod, Zeroable};
-use segwild_raster::compare::{
-    BASES, BINS, BackgroundSums, ColourSums, ERROR_WINDOW, HOLD, LeaveOut, LossInputs, LossOutput,
-    PhotoTarget, STRIDE, SkySums, left_out_share, psnr_of, window,
+use segwild_objective::background::{BASES, BackgroundSums, ColourSums, HOLD, STRIDE, SkySums};
+use segwild_objective::compare::{
+    ERROR_WINDOW, LeaveOut, LossInputs, LossOutput, PhotoTarget, left_out_share, psnr_of,
 };
-use segwild_raster::{EmbedAppearance, EmbedLight};
+use segwild_objective::transients::{BINS, window};
+use segwild_objective::{EmbedAppearance, EmbedLight};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 

@@ -12,12 +12,14 @@ use crate::shaders::{
     BUCKET_COUNT, BUCKETS, EMIT, HISTOGRAM, Kernel, ORDER, PROJECT, RANGES, SCAN, SCAN_ADD, SCATTER,
 };
 use crate::training::GpuTraining;
-use crate::view::GpuView;
+use crate::view::GpuProjected;
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
-use segwild_raster::field::{DeviceLifting, DeviceRefinement, FeatureTarget, Queries, Refining};
+use segwild_objective::field::{DeviceLifting, DeviceRefinement, FeatureTarget, Queries, Refining};
+use segwild_objective::{FieldBackend, TrainingBackend};
+use segwild_objective::{Held, Resident};
 use segwild_raster::{
-    Channels, Engine, Held, Kept, ProjectOptions, Projected, RasterError, Resident, check, jacobian_limits,
+    Channels, Kept, ProjectOptions, Projected, RasterError, Rasterizer, check, jacobian_limits,
 };
 use segwild_scene::{Camera, Pose, Splats};
 use std::any::Any;
@@ -161,7 +163,7 @@ pub(crate) struct Binned {
     pub bucket_bound: usize,
 }
 
-impl Engine for GpuEngine {
+impl Rasterizer for GpuEngine {
     fn name(&self) -> &'static str {
         "gpu"
     }
@@ -178,16 +180,19 @@ impl Engine for GpuEngine {
         self.project_cloud(splats, cloud, camera, pose, options)
     }
 
-    fn hold<'a>(&'a self, splats: &'a Splats) -> Result<Option<Box<dyn Engine + 'a>>, RasterError> {
+    fn hold<'a>(&'a self, splats: &'a Splats) -> Result<Option<Box<dyn Rasterizer + 'a>>, RasterError> {
         let cloud = if_it_fits(Cloud::upload(&mut self.device.work(), splats))?.map(Arc::new);
-        Ok(cloud.map(|cloud| Box::new(HeldEngine { engine: self, splats, cloud }) as Box<dyn Engine + 'a>))
+        Ok(cloud
+            .map(|cloud| Box::new(HeldEngine { engine: self, splats, cloud }) as Box<dyn Rasterizer + 'a>))
     }
 
     fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
         let uploaded_bytes = if_it_fits(GpuChannels::upload(&self.device, channels))?.flatten();
         Ok(uploaded_bytes.map(|uploaded_bytes| Box::new(uploaded_bytes) as Box<dyn Any + Send + Sync>))
     }
+}
 
+impl FieldBackend for GpuEngine {
     fn settle_refining(&self, field: &Refining) -> Result<Option<Box<dyn DeviceRefinement>>, RasterError> {
         if !settles(GpuField::bytes(field), self.budget()) {
             return Ok(None);
@@ -224,7 +229,9 @@ impl Engine for GpuEngine {
         let sums = if_it_fits(GpuSums::new(&self.device, splats, row))?;
         Ok(sums.map(|sums| Box::new(sums) as Box<dyn DeviceLifting>))
     }
+}
 
+impl TrainingBackend for GpuEngine {
     fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
         match GpuTraining::new(&self.device, &self.photos_on_device, &held()) {
             Ok(training) => Ok(Some(Box::new(training))),
@@ -261,7 +268,7 @@ impl GpuEngine {
         drop(work);
         let eye = pose.centre();
         let size = [camera.width as usize, camera.height as usize];
-        Ok(Box::new(GpuView::new(&self.device, splats, eye, size, binned, &seen)))
+        Ok(Box::new(GpuProjected::new(&self.device, splats, eye, size, binned, &seen)))
     }
 }
 

@@ -1,8 +1,7 @@
 //! An engine with splats held on its device.
 
 use crate::engine::{Cloud, GpuEngine};
-use segwild_raster::field::{DeviceLifting, DeviceRefinement, FeatureTarget, Queries, Refining};
-use segwild_raster::{Channels, Engine, Held, Kept, ProjectOptions, Projected, RasterError, Resident, check};
+use segwild_raster::{Channels, ProjectOptions, Projected, RasterError, Rasterizer, check};
 use segwild_scene::{Camera, Pose, Splats};
 use std::any::Any;
 use std::sync::Arc;
@@ -14,7 +13,7 @@ pub(crate) struct HeldEngine<'s> {
     pub cloud: Arc<Cloud>,
 }
 
-impl Engine for HeldEngine<'_> {
+impl Rasterizer for HeldEngine<'_> {
     fn name(&self) -> &'static str {
         self.engine.name()
     }
@@ -36,32 +35,5 @@ impl Engine for HeldEngine<'_> {
 
     fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
         self.engine.bring(channels)
-    }
-
-    fn settle_refining(&self, field: &Refining) -> Result<Option<Box<dyn DeviceRefinement>>, RasterError> {
-        self.engine.settle_refining(field)
-    }
-
-    fn upload_target(
-        &self,
-        feature_target: &FeatureTarget,
-    ) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
-        self.engine.upload_target(feature_target)
-    }
-
-    fn similarity(&self, features: &Kept, queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
-        self.engine.similarity(features, queries)
-    }
-
-    fn settle_lifting(
-        &self,
-        splats: usize,
-        row: usize,
-    ) -> Result<Option<Box<dyn DeviceLifting>>, RasterError> {
-        self.engine.settle_lifting(splats, row)
-    }
-
-    fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
-        self.engine.settle(held)
     }
 }

@@ -6,8 +6,8 @@ use crate::engine::GROUP;
 use crate::memory::keeps_channels;
 use crate::shaders::{COSINES, FUSE};
 use crate::view::{at_once, pack_splats, parts_of};
+use segwild_objective::field::Queries;
 use segwild_raster::Channels;
-use segwild_raster::field::Queries;
 use std::sync::Arc;
 
 /// Channels that stay on a device.

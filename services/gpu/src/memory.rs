@@ -2,7 +2,7 @@
 
 use crate::compare::LENGTH;
 use crate::engine::TILE;
-use segwild_raster::GswWidth;
+use segwild_objective::GswWidth;
 
 /// Pairs of a splat and a tile per splat, where there are many splats.
 const PAIRS_PER_SPLAT: f64 = 8.0;

@@ -7,7 +7,7 @@ use crate::passes::ShapeGrads;
 use crate::shaders::ADAM;
 use crate::training::GpuTraining;
 use bytemuck::{Pod, Zeroable};
-use segwild_raster::{NetworksStep, OptimiserRules, Resident, Rule};
+use segwild_objective::{NetworksStep, OptimiserRules, Resident, Rule};
 
 /// `OptimiserRules` of `adam.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]

@@ -1,8 +1,9 @@
 //! The kernels' sources: files of `shaders/`, embedded in the program, with their imports resolved.
 
 use crate::nets::CONSTANTS;
-use segwild_raster::compare::{self, PhotoTarget};
-use segwild_raster::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, T_MIN, field, gsw};
+use segwild_objective::compare::{self, PhotoTarget};
+use segwild_objective::{background, field, gsw, transients};
+use segwild_raster::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, T_MIN};
 
 /// A kernel: a file of `shaders/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -102,23 +103,23 @@ kernels! {
     RATE = "rate"."rate", [1];
 }
 
-/// Constants of the losses (`raster/src/compare/`).
+/// Constants of the losses (`objective/src/compare.rs`).
 const COMPARED: [(&str, f32); 12] = [
-    ("DECAY", compare::DECAY),
-    ("FLOOR", compare::FLOOR),
-    ("INITIAL_TRANSIENT_SHARE", compare::INITIAL_TRANSIENT),
-    ("CONTRAST", compare::CONTRAST),
-    ("SURPRISE", compare::SURPRISE),
+    ("DECAY", transients::DECAY),
+    ("FLOOR", transients::FLOOR),
+    ("INITIAL_TRANSIENT_SHARE", transients::INITIAL_TRANSIENT),
+    ("CONTRAST", transients::CONTRAST),
+    ("SURPRISE", transients::SURPRISE),
     ("LEAST_OPEN", compare::LEAST_OPEN),
-    ("LEAST_SEEN", compare::LEAST_SEEN),
-    ("SURE", compare::SURE),
-    ("OCCLUDED", compare::OCCLUDED),
-    ("MOST", compare::MOST),
-    ("LEAST", compare::LEAST),
-    ("WRONG", compare::WRONG),
+    ("LEAST_SEEN", background::LEAST_SEEN),
+    ("SURE", transients::SURE),
+    ("OCCLUDED", transients::OCCLUDED),
+    ("MOST", transients::MOST),
+    ("LEAST", transients::LEAST),
+    ("WRONG", transients::WRONG),
 ];
-/// Constants of the appearance model `gsw` (`raster/src/appearance/gsw/`), of its networks, and of the feature field
-/// (`raster/src/field/`).
+/// Constants of the appearance model `gsw` (`objective/src/appearance/gsw/`), of its networks, and of the feature field
+/// (`objective/src/field/`).
 const LIT: [(&str, f32); 8] = [
     ("COORDINATE", gsw::COORDINATE),
     ("DROPPED", gsw::DROPPED),
@@ -138,8 +139,8 @@ const LIGHT: [(&str, u32); 6] = [
     ("EMBEDDING_SIZE", gsw::EMBEDDING_SIZE as u32),
 ];
 const COUNTED: [(&str, u32); 6] = [
-    ("BINS", compare::BINS as u32),
-    ("STRIDE", compare::STRIDE as u32),
+    ("BINS", transients::BINS as u32),
+    ("STRIDE", background::STRIDE as u32),
     ("COUNTS", PhotoTarget::COUNTS as u32),
     ("SKY", PhotoTarget::SKY as u32),
     ("INNER", PhotoTarget::INNER as u32),

@@ -16,12 +16,14 @@ use crate::shaders::{RATE, SHADE};
 use crate::training::GpuTraining;
 use crate::view::{at_once, gathered_at_once, pack_image, parts_of};
 use crate::{GpuEngine, GpuError};
-use segwild_raster::compare::{LeaveOut, LossInputs, PhotoTarget, Residuals};
-use segwild_raster::field::{FieldRule, Queries};
-use segwild_raster::{
-    Appearance, Channels, GswAppearance, GswWidth, Held, NetworksStep, OptimiserRules, RasterError, Resident,
-    Rule, TrainingStep, gsw,
+use segwild_objective::compare::{LeaveOut, LossInputs, PhotoTarget};
+use segwild_objective::field::{FieldRule, Queries};
+use segwild_objective::transients::Residuals;
+use segwild_objective::{
+    Appearance, GswAppearance, GswWidth, Held, NetworksStep, OptimiserRules, Resident, Rule, TrainingStep,
+    gsw,
 };
+use segwild_raster::{Channels, RasterError};
 use segwild_scene::{Camera, Pose, Random, Splats};
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -11,11 +11,11 @@ use crate::nets::{GpuNetworks, NetworkLighting, PIECE};
 use crate::optimiser::{Groups, StepGrads};
 use crate::passes::ShapeGrads;
 use crate::shaders::{OBSERVE, SELECT, SHADE, SHADE_BACKWARD, TINT, TINT_BACKWARD};
-use segwild_raster::compare::LossOutput;
-use segwild_raster::{
-    EmbedAppearance, EmbedLight, Held, NetworksStep, ProjectOptions, RasterError, Reshaped, Resident,
-    SplatEmbeddings, TrainingStep, check,
+use segwild_objective::compare::LossOutput;
+use segwild_objective::{
+    EmbedAppearance, EmbedLight, Held, NetworksStep, Reshaped, Resident, SplatEmbeddings, TrainingStep,
 };
+use segwild_raster::{ProjectOptions, RasterError, check};
 use segwild_scene::{Camera, Pose, Splats};
 use std::sync::Arc;
 

@@ -9,11 +9,12 @@ use crate::kept::GpuChannels;
 use crate::passes::ShapeGrads;
 use glam::Vec3;
 use rayon::prelude::*;
-use segwild_raster::field::{FeatureTarget, Lifting, Refining, SampledPixels};
+use segwild_objective::field::{FeatureTarget, SampledPixels};
 use segwild_raster::{
     Channels, Frame, FrameGrad, Kept, Projected, RasterError, SplatGrads, shade, shade_backward,
 };
 use segwild_scene::{Image, Splats};
+use std::any::Any;
 use std::sync::{Arc, Mutex};
 
 /// Items that one task packs.
@@ -41,49 +42,73 @@ enum ChannelSource<'a> {
     Kept(&'a GpuChannels),
 }
 
-/// Splats as one view sees them, on the device.
-pub(crate) struct GpuView<'a> {
-    device: &'a Arc<GpuDevice>,
+/// Splats as one view sees them: what the host has of it, and what the device has.
+pub(crate) struct GpuProjected<'a> {
     splats: &'a Splats,
     eye: Vec3,
-    width: usize,
-    height: usize,
     depths: Vec<f32>,
     radii: Vec<f32>,
     centres: Vec<[f32; 2]>,
+    view: GpuView,
+}
+
+/// A view on the device.
+pub(crate) struct GpuView {
+    device: Arc<GpuDevice>,
+    splats: usize,
+    width: usize,
+    height: usize,
     on: Binned,
     /// Light per pixel at the start of each bucket, once something was blended.
     lights: Mutex<Option<PooledBuffer>>,
 }
 
-impl<'a> GpuView<'a> {
+impl<'a> GpuProjected<'a> {
     pub fn new(
-        device: &'a Arc<GpuDevice>,
+        device: &Arc<GpuDevice>,
         splats: &'a Splats,
         eye: Vec3,
         [width, height]: [usize; 2],
         on: Binned,
         seen: &[[f32; 4]],
-    ) -> GpuView<'a> {
-        GpuView {
-            device,
+    ) -> GpuProjected<'a> {
+        let (device, lights) = (device.clone(), Mutex::new(None));
+        GpuProjected {
             splats,
             eye,
-            width,
-            height,
             depths: seen.iter().map(|s| s[0]).collect(),
             radii: seen.iter().map(|s| s[1]).collect(),
             centres: seen.iter().map(|s| [s[2], s[3]]).collect(),
-            on,
-            lights: Mutex::new(None),
+            view: GpuView { device, splats: splats.len(), width, height, on, lights },
         }
+    }
+}
+
+impl GpuView {
+    /// The view of one of this device's engines.
+    ///
+    /// # Panics
+    /// If it is of another device.
+    pub fn of<'v>(view: &'v dyn Projected, device: &Arc<GpuDevice>) -> &'v GpuView {
+        let own = view.on_device().and_then(|view| view.downcast_ref::<GpuView>());
+        own.filter(|view| view.is_on(device)).expect("the view is on the device that has the features")
+    }
+
+    /// How many splats there are.
+    pub fn splats(&self) -> usize {
+        self.splats
+    }
+
+    /// Width and height.
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
     }
 
     fn pixels(&self) -> usize {
         self.width * self.height
     }
 
-    fn assert_image(&self, image: &Image, channels: usize, what: &str) {
+    pub fn assert_image(&self, image: &Image, channels: usize, what: &str) {
         let size = (image.width, image.height, image.channels);
         assert_eq!(size, (self.width, self.height, channels), "{what}: width, height, channels");
         assert_eq!(image.data.len(), self.pixels() * channels, "{what}: numbers");
@@ -91,7 +116,7 @@ impl<'a> GpuView<'a> {
 
     /// Blends so many channels.
     fn try_blend(&self, count: usize, channels: ChannelSource) -> Result<Frame, GpuError> {
-        let (n, pixels) = (self.splats.len(), self.pixels());
+        let (n, pixels) = (self.splats, self.pixels());
         let mut image = Image::zeros(self.width, self.height, count);
         let mut work = self.device.work();
         let alpha = work.take::<f32>("alpha", pixels)?;
@@ -137,7 +162,7 @@ impl<'a> GpuView<'a> {
     ) -> Result<T, GpuError> {
         let mut held = lock(&self.lights);
         if held.is_none() {
-            let values = work.take::<[f32; 4]>("the splats' channels", self.splats.len())?;
+            let values = work.take::<[f32; 4]>("the splats' channels", self.splats)?;
             let alpha = work.take::<f32>("alpha", self.pixels())?;
             let lights = self.on.lights(work)?;
             self.on.blend(work, 1, &values, true, &alpha, &lights)?;
@@ -147,11 +172,11 @@ impl<'a> GpuView<'a> {
     }
 
     /// Whether this is the view's device. A device that is held has a unique address.
-    fn is_mine(&self, device: &Arc<GpuDevice>) -> bool {
-        Arc::ptr_eq(device, self.device)
+    fn is_on(&self, device: &Arc<GpuDevice>) -> bool {
+        Arc::ptr_eq(device, &self.device)
     }
 
-    fn try_refine(
+    pub fn try_refine(
         &self,
         field: &GpuField,
         feature_target: &FeatureTarget,
@@ -161,10 +186,10 @@ impl<'a> GpuView<'a> {
         let kept =
             feature_target.on_device.and_then(|on_device| on_device.downcast_ref::<GpuFeatureTarget>());
         let up;
-        let feature_target = match kept.filter(|feature_target| self.is_mine(&feature_target.device)) {
+        let feature_target = match kept.filter(|feature_target| self.is_on(&feature_target.device)) {
             Some(feature_target) => feature_target,
             None => {
-                up = GpuFeatureTarget::upload(self.device, work, feature_target)?;
+                up = GpuFeatureTarget::upload(&self.device, work, feature_target)?;
                 &up
             }
         };
@@ -188,13 +213,13 @@ impl<'a> GpuView<'a> {
         step.finish(work, &grads, blocks)
     }
 
-    fn try_lift(&self, sums: &GpuSums, image: &Image) -> Result<(), GpuError> {
+    pub fn try_lift(&self, sums: &GpuSums, image: &Image) -> Result<(), GpuError> {
         if self.on.pairs == 0 {
             return Ok(());
         }
         let work = &mut self.device.work();
         let (results, blocks) = self.gathered(work, image)?;
-        sums.add(work, &results, blocks)
+        sums.add_view(work, &results, blocks)
     }
 
     /// Sums of an image per splat, in parts of so many vec4, kept on the device.
@@ -212,7 +237,7 @@ impl<'a> GpuView<'a> {
     }
 
     fn try_gather(&self, work: &mut DeviceWork, image: &Image) -> Result<Vec<f32>, GpuError> {
-        let (n, count, on) = (self.splats.len(), image.channels, &self.on);
+        let (n, count, on) = (self.splats, image.channels, &self.on);
         let mut out = vec![0.0; n * count];
         if out.is_empty() || on.pairs == 0 {
             return Ok(out);
@@ -235,7 +260,7 @@ impl<'a> GpuView<'a> {
 
     fn try_backward(&self, channels: &Channels, grad: &FrameGrad) -> Result<SplatGrads, GpuError> {
         let Channels { count, values } = *channels;
-        let (n, on) = (self.splats.len(), &self.on);
+        let (n, on) = (self.splats, &self.on);
         let mut work = self.device.work();
         let work = &mut work;
         let by_value = self.try_gather(work, grad.image)?;
@@ -262,7 +287,7 @@ impl<'a> GpuView<'a> {
         values: &[f32],
         grad: &FrameGrad,
     ) -> Result<Vec<ShapeGrads>, GpuError> {
-        let (n, on) = (self.splats.len(), &self.on);
+        let (n, on) = (self.splats, &self.on);
         // Alpha is one more channel, of value 1.
         let blocks = (count + usize::from(grad.alpha.is_some())).max(1).div_ceil(4);
         let packed = pack_splats(values, n, count, 0, blocks, grad.alpha.is_some());
@@ -273,7 +298,7 @@ impl<'a> GpuView<'a> {
     }
 }
 
-impl Projected for GpuView<'_> {
+impl Projected for GpuProjected<'_> {
     fn depths(&self) -> &[f32] {
         &self.depths
     }
@@ -292,48 +317,27 @@ impl Projected for GpuView<'_> {
 
     fn blend(&self, channels: &Channels) -> Result<Frame, RasterError> {
         assert_eq!(channels.values.len(), self.splats.len() * channels.count, "channels: values");
-        Ok(self.try_blend(channels.count, ChannelSource::Host(channels.values))?)
+        Ok(self.view.try_blend(channels.count, ChannelSource::Host(channels.values))?)
     }
 
     fn blend_kept(&self, kept: &Kept) -> Result<Frame, RasterError> {
         let channels = kept.channels();
         assert_eq!(channels.values.len(), self.splats.len() * channels.count, "channels: values");
         let brought = kept.on_device().and_then(|on_device| on_device.downcast_ref::<GpuChannels>());
-        let brought = brought.filter(|brought| brought.is_on(self.device));
-        Ok(self.try_blend(
+        let brought = brought.filter(|brought| brought.is_on(&self.view.device));
+        Ok(self.view.try_blend(
             channels.count,
             brought.map_or(ChannelSource::Host(channels.values), ChannelSource::Kept),
         )?)
     }
 
-    fn lift(&self, sums: &mut Lifting, image: &Image) -> Result<(), RasterError> {
-        let own = sums.on_device().and_then(|on_device| on_device.as_any().downcast_ref::<GpuSums>());
-        let Some(own) = own.filter(|sums| self.is_mine(&sums.device)) else {
-            sums.add(&self.gather(image)?);
-            return Ok(());
-        };
-        self.assert_image(image, own.count(), "lift");
-        assert_eq!(own.rows(), self.splats.len(), "splats");
-        Ok(self.try_lift(own, image)?)
-    }
-
-    fn refine(
-        &self,
-        field: &mut Refining,
-        feature_target: &FeatureTarget,
-        sampled: &SampledPixels,
-    ) -> Result<(), RasterError> {
-        let own = field.on_device().and_then(|on_device| on_device.as_any().downcast_ref::<GpuField>());
-        let Some(own) = own.filter(|field| self.is_mine(&field.device)) else {
-            return field.learn(self, feature_target, sampled);
-        };
-        assert_eq!(feature_target.average.from(), (self.width, self.height), "refine: width, height");
-        Ok(self.try_refine(own, feature_target, sampled)?)
+    fn on_device(&self) -> Option<&(dyn Any + Send + Sync)> {
+        Some(&self.view)
     }
 
     fn gather(&self, image: &Image) -> Result<Vec<f32>, RasterError> {
-        self.assert_image(image, image.channels, "gather");
-        Ok(self.try_gather(&mut self.device.work(), image)?)
+        self.view.assert_image(image, image.channels, "gather");
+        Ok(self.view.try_gather(&mut self.view.device.work(), image)?)
     }
 
     fn backward(
@@ -343,12 +347,12 @@ impl Projected for GpuView<'_> {
         grad: &FrameGrad,
     ) -> Result<SplatGrads, RasterError> {
         assert_eq!(channels.values.len(), self.splats.len() * channels.count, "channels: values");
-        self.assert_image(&frame.image, channels.count, "frame");
-        self.assert_image(grad.image, channels.count, "gradient");
+        self.view.assert_image(&frame.image, channels.count, "frame");
+        self.view.assert_image(grad.image, channels.count, "gradient");
         if let Some(alpha) = grad.alpha {
-            self.assert_image(alpha, 1, "gradient of alpha");
+            self.view.assert_image(alpha, 1, "gradient of alpha");
         }
-        Ok(self.try_backward(channels, grad)?)
+        Ok(self.view.try_backward(channels, grad)?)
     }
 
     fn shade_backward(&self, colours: &[f32], grads: &mut SplatGrads) -> Vec<f32> {

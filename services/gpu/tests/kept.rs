@@ -4,13 +4,14 @@ mod common;
 
 use common::{engine, image, many, rules, splats, step_with, view};
 use segwild_gpu::{AdapterChoice, GpuEngine, Tolerance, held, some_appearance, training_bytes};
-use segwild_raster::field::{
+use segwild_objective::field::{
     AreaAverage, FeatureTarget, FieldRule, LearnedDecoder, Lifting, Membership, Refining, SampledPixels,
 };
-use segwild_raster::{
-    Appearance, Channels, CpuEngine, Engine, FallbackEngine, Frame, GswAppearance, GswWidth, Held, Kept,
-    NetworksStep, ProjectOptions, SplatEmbeddings,
+use segwild_objective::{
+    Appearance, FallbackEngine, FieldBackend, GswAppearance, GswWidth, Held, NetworksStep, SplatEmbeddings,
+    TrainingBackend,
 };
+use segwild_raster::{Channels, CpuEngine, Frame, Kept, ProjectOptions, Rasterizer};
 use segwild_scene::{Image, Mask, MaskSet, Random, ScoredMask, Splats};
 
 const SPLATS: usize = 5000;
@@ -24,7 +25,7 @@ fn scene() -> Splats {
 }
 
 /// The frames of some views.
-fn draw(engine: &dyn Engine, splats: &Splats, kept: &Kept) -> Vec<Frame> {
+fn draw(engine: &dyn Rasterizer, splats: &Splats, kept: &Kept) -> Vec<Frame> {
     let frame = |(width, height)| {
         let (camera, pose) = view(width, height);
         let projected = engine.project(splats, &camera, &pose, &ProjectOptions::default());
@@ -80,7 +81,7 @@ fn alpha_alone_needs_no_channels() {
     let crossed = gpu.uploaded_bytes() - before;
     assert!(crossed < 1000, "{crossed} bytes");
     let cpu = CpuEngine::new();
-    for engine in [&*held, &cpu] {
+    for engine in [&*held, &cpu as &dyn Rasterizer] {
         let zeros = draw(engine, &scene, &Kept::new(1, vec![0.0; SPLATS]));
         let nothing = draw(engine, &scene, &Kept::new(0, &[][..]));
         assert!(zeros.iter().zip(&nothing).all(|(a, b)| a.alpha == b.alpha), "{}", engine.name());
@@ -167,12 +168,12 @@ fn a_step_of_the_feature_field_brings_the_pixels_that_it_draws_and_nothing_of_sp
                 average: &average,
                 on_device: None,
             };
-            let on_device = held.upload_target(&feature_target).expect("it is brought there");
+            let on_device = gpu.upload_target(&feature_target).expect("it is brought there");
             feature_target.on_device = on_device.as_deref();
             let pixels: Vec<u32> = (0..width * height).step_by(3).collect();
             let sampled = SampledPixels { pixels: &pixels, membership: &membership };
             let before = gpu.uploaded_bytes();
-            projected.refine(field, &feature_target, &sampled).expect("it is learnt");
+            field.step(&*projected, &feature_target, &sampled).expect("it is learnt");
             crossed += gpu.uploaded_bytes() - before;
         }
         (crossed, field.losses().expect("they are downloaded"))
@@ -184,8 +185,8 @@ fn a_step_of_the_feature_field_brings_the_pixels_that_it_draws_and_nothing_of_sp
         });
         let mut here = Refining::new(count, values(count), decoder.clone(), rule);
         let mut there = Refining::new(count, values(count), decoder, rule);
-        there.settle(&*held).expect("it is brought there");
-        assert!(there.on_device().is_some());
+        there.settle(gpu).expect("it is brought there");
+        assert!(there.is_on_device());
         let ((_, wanted), (crossed, losses)) = (refine(&mut here, learned), refine(&mut there, learned));
         // Positions and masks of the pixels, and the tables of the networks that compare them.
         let pixels = 4 * (64 * 48 + 50 * 70 + 33 * 20) / 3;
@@ -207,11 +208,11 @@ fn sums_over_views_stay_where_they_are() {
     let (scene, count) = (scene(), 24);
     let held = gpu.hold(&scene).expect("it is brought there").expect("it fits");
     let mut sums = Lifting::new(SPLATS, count);
-    sums.settle(&*held).expect("there is room");
+    sums.settle(gpu).expect("there is room");
     let before = gpu.uploaded_bytes();
     let (camera, pose) = view(64, 48);
     let projected = held.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("it is seen");
-    projected.lift(&mut sums, &image(90, 64, 48, count + 1)).expect("it is added");
+    sums.add(&*projected, &image(90, 64, 48, count + 1)).expect("it is added");
     // Eight numbers at once, filled up.
     let (crossed, images) = (gpu.uploaded_bytes() - before, 4 * (count + 8) * 64 * 48);
     assert!(crossed < images as u64 + 1000, "{crossed} bytes where an image is {images}");
@@ -246,14 +247,13 @@ fn a_field_that_leaves_too_little_memory_for_its_steps_is_refined_on_the_host() 
         let (camera, pose) = view(64, 48);
         let projected = small.project(&scene, &camera, &pose, &ProjectOptions::default());
         let projected = projected.unwrap_or_else(|error| panic!("{megabytes} MiB: {error}"));
-        projected
-            .refine(&mut field, &feature_target, &sampled)
+        field
+            .step(&*projected, &feature_target, &sampled)
             .unwrap_or_else(|error| panic!("{megabytes} MiB: {error}"));
-        settled.push(field.on_device().is_some());
+        settled.push(field.is_on_device());
         drop(field);
         sums.settle(&small).expect("want of room is no failure");
-        projected
-            .lift(&mut sums, &image(96, 64, 48, count + 1))
+        sums.add(&*projected, &image(96, 64, 48, count + 1))
             .unwrap_or_else(|error| panic!("{megabytes} MiB: {error}"));
     }
     assert!(!settled[0] && settled[5] && settled.is_sorted(), "{settled:?}");

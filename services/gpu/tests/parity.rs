@@ -12,7 +12,10 @@ use segwild_gpu::{
     AdapterChoice, GpuEngine, LEAST_PHOTOS, STAGES, Tolerance, check, check_training, compared, gradients,
     held, held_with_embeddings, projected, test_cases, training_bytes,
 };
-use segwild_raster::{Channels, CpuEngine, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError};
+use segwild_objective::TrainingBackend;
+use segwild_raster::{
+    Channels, CpuEngine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, Rasterizer,
+};
 use segwild_scene::{Camera, Pose, Random, Splats};
 
 const BLENDED: Tolerance = Tolerance::BLENDED;
@@ -361,8 +364,8 @@ fn gradients_that_are_no_numbers_leave_splats_that_are() {
     let view = view(40, 30);
     let held = held(splats(32, 60, (0.05, 0.3)));
     let mut on_device = gpu.settle(&mut || held.clone()).expect("it settles").expect("it fits");
-    let rule = segwild_raster::Rule { beta1: 0.9, beta2: 0.999, rate: 0.1, epsilon: 0.0 };
-    let rules = segwild_raster::OptimiserRules::all(rule);
+    let rule = segwild_objective::Rule { beta1: 0.9, beta2: 0.999, rate: 0.1, epsilon: 0.0 };
+    let rules = segwild_objective::OptimiserRules::all(rule);
     // The sky's share of the gradient, in the pixels that have some.
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 0.1] {
         step(&mut *on_device, &view, None, &rules, 3, bad).expect("it learns");
@@ -410,7 +413,7 @@ fn splats_that_are_held_render_as_they_are_and_others_as_others() {
     let test = "splats_that_are_held_are_drawn_as_they_are_and_others_as_others";
     let Some(gpu) = engine(test) else { return };
     let (mine, other) = (splats(61, 300, (0.02, 0.2)), splats(62, 300, (0.02, 0.2)));
-    let draw = |engine: &dyn Engine, splats: &Splats, size: (u32, u32)| {
+    let draw = |engine: &dyn Rasterizer, splats: &Splats, size: (u32, u32)| {
         let (camera, pose) = view(size.0, size.1);
         let projected =
             engine.project(splats, &camera, &pose, &ProjectOptions::default()).expect("it projects");

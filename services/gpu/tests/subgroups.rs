@@ -4,7 +4,7 @@ mod common;
 
 use common::{broken_with, either_way, image, misled, splats, view};
 use segwild_gpu::{AdapterChoice, GpuEngine, STAGES, check};
-use segwild_raster::{Channels, Engine, FrameGrad, ProjectOptions};
+use segwild_raster::{Channels, FrameGrad, ProjectOptions, Rasterizer};
 
 #[test]
 fn a_view_is_the_same_by_subgroups_and_without() {

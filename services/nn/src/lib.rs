@@ -7,6 +7,7 @@
 //!
 //! Sums run in a fixed order, so that the result is the same whatever the number of threads.
 
+mod cholesky;
 mod conv;
 pub mod eigen;
 mod graph;
@@ -21,6 +22,7 @@ mod product;
 mod sample;
 mod unet;
 
+pub use cholesky::solve;
 pub use conv::{Conv, Up};
 pub use graph::{Form, Id, NetworkGraph, Op, OpKind, Tape};
 pub use layer::{Layer, LayerKind, WeightLayout};

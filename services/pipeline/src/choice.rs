@@ -4,7 +4,7 @@
 use crate::artefacts::Keys;
 use crate::{RunBudget, RunError, RunFolder, Settings};
 use segwild_flow::{Cache, CacheError, Key};
-use segwild_raster::Engine;
+use segwild_objective::Engine;
 use segwild_scene::{Mask, Scene};
 use segwild_trainer::{
     AppearanceChoice, AppearanceModel, BudgetChoice, CHOICE_SIZE, Photos, Sifted, TrainError, TrainPhoto,

@@ -2,7 +2,8 @@
 
 use crate::{RunError, RunSettings};
 use segwild_gpu::{AdapterChoice, GpuEngine, GpuError};
-use segwild_raster::{CpuEngine, Engine, FallbackEngine};
+use segwild_objective::{Engine, FallbackEngine};
+use segwild_raster::CpuEngine;
 use std::sync::Arc;
 
 segwild_scene::choice! {

@@ -5,7 +5,7 @@ use crate::intact::Intact;
 use crate::prompts::Replay;
 use crate::{RunError, RunFolder, Scoring, Selected, Settings};
 use segwild_flow::fault;
-use segwild_raster::Engine;
+use segwild_raster::Rasterizer;
 use segwild_scene::{Mask, MaskFiles, Scene};
 use segwild_trainer::{AppearanceModel, Model, Photos, Protocol, TrainPhoto, ViewScore, evaluate};
 use serde::{Deserialize, Serialize};
@@ -123,7 +123,7 @@ pub(crate) fn held_out(
     folder: &RunFolder,
     scene: &Arc<Scene>,
     model: &Model,
-    engine: &dyn Engine,
+    engine: &dyn Rasterizer,
     settings: &Settings,
     usable: impl Fn(usize) -> bool,
     sky: impl Fn(usize) -> Result<Option<Mask>, String> + Send + Sync + 'static,

@@ -12,7 +12,7 @@ use crate::view_slots::ViewSlots;
 use segwild_features::{EMBEDDING, FieldInputs, describe};
 use segwild_flow::{ActorFailure, Context};
 use segwild_masks::{MaskMaker, MaskSource, Snapshot};
-use segwild_raster::Engine;
+use segwild_objective::Engine;
 use segwild_scene::{Embedding, Image, Mask, MaskSet, Scene};
 use segwild_trainer::{Model, TrainPhoto, render_view};
 use segwild_vision::{Embedder, PromptSegmenter};

@@ -5,7 +5,7 @@
 //! the size of one photo, plus three caches with limits of their own, which shrink to fit the budget.
 
 use crate::{RunError, Settings};
-use segwild_raster::{EmbedAppearance, GswAppearance};
+use segwild_objective::{EmbedAppearance, GswAppearance};
 use segwild_scene::{Scene, View};
 use segwild_trainer::{AppearanceModel, TrainSettings, splat_cap, stereo_bytes};
 use std::fmt;

@@ -1,7 +1,7 @@
 //! An object's masks on a scene's photos.
 
 use crate::RunError;
-use segwild_raster::{Engine, Kept, ProjectOptions};
+use segwild_raster::{Kept, ProjectOptions, Rasterizer};
 use segwild_scene::{Camera, Image, Mask, Pose, Splats};
 use segwild_segmenter::{MaskMode, owned};
 
@@ -10,9 +10,9 @@ const FINER: u32 = 2;
 
 /// Renders masks of labelled splats among all splats of a scene.
 pub(crate) struct ObjectMasks<'a> {
-    engine: &'a dyn Engine,
+    engine: &'a dyn Rasterizer,
     /// The engine that holds these splats on its device, if it has one.
-    held: Option<Box<dyn Engine + 'a>>,
+    held: Option<Box<dyn Rasterizer + 'a>>,
     splats: &'a Splats,
     /// 1 for labelled splats.
     indicator: Kept<'static>,
@@ -22,7 +22,7 @@ pub(crate) struct ObjectMasks<'a> {
 
 impl<'a> ObjectMasks<'a> {
     pub fn new(
-        engine: &'a dyn Engine,
+        engine: &'a dyn Rasterizer,
         splats: &'a Splats,
         labels: &[bool],
         options: ProjectOptions,

@@ -6,7 +6,7 @@ use crate::light::{AppearanceRequest, find};
 use crate::{RunError, RunFolder, Selected, choose_engine, log_loss};
 use glam::{Mat3, Quat, Vec3};
 use segwild_features::FeatureColours;
-use segwild_raster::{Channels, Engine, Kept};
+use segwild_raster::{Channels, Kept, Rasterizer};
 use segwild_scene::{Camera, Image, Pose, Scene};
 use segwild_trainer::{Model, SceneLight, SceneLighting, render_lit};
 use serde::Serialize;
@@ -255,7 +255,7 @@ impl<'a> SceneRenderer<'a> {
         loaded: &'a Loaded,
         selected: Option<(Selected, Mode)>,
         what: RenderContent,
-        engine: &dyn Engine,
+        engine: &dyn Rasterizer,
     ) -> Result<SceneRenderer<'a>, RunError> {
         let mut model = loaded.model.clone();
         let (mut whose, mut highlight, mut only) = (None, None, false);
@@ -318,7 +318,7 @@ impl<'a> SceneRenderer<'a> {
     /// Renders one image, with values in 0 to 1.
     pub(crate) fn render(
         &self,
-        engine: &dyn Engine,
+        engine: &dyn Rasterizer,
         camera: &Camera,
         pose: &Pose,
         lighting: &SceneLighting,

@@ -1,9 +1,6 @@
 //! The interface of a rasteriser.
 
-use crate::field::{
-    DeviceLifting, DeviceRefinement, FeatureTarget, Lifting, Queries, Refining, SampledPixels,
-};
-use crate::{Held, Kept, Resident};
+use crate::Kept;
 use segwild_scene::{Camera, Image, Pose, Splats};
 use std::any::Any;
 
@@ -120,7 +117,7 @@ pub struct SplatGrads {
 }
 
 /// A splat rasteriser. Implementations bear one name with their kernels' twins.
-pub trait Engine: Send + Sync {
+pub trait Rasterizer: Send + Sync {
     /// Name for logs and cache keys.
     fn name(&self) -> &'static str;
 
@@ -133,49 +130,15 @@ pub trait Engine: Send + Sync {
         options: &ProjectOptions,
     ) -> Result<Box<dyn Projected + 'a>, RasterError>;
 
-    /// Uploads splats once, for many views of them. Returns the same engine, which projects these splats without
-    /// another upload; `None` where this engine computes on the host, or where they do not fit.
-    fn hold<'a>(&'a self, _splats: &'a Splats) -> Result<Option<Box<dyn Engine + 'a>>, RasterError> {
+    /// Uploads splats once, for many views of them. Returns a rasteriser of the same device, which projects these splats
+    /// without another upload; `None` where this one computes on the host, or where they do not fit.
+    fn hold<'a>(&'a self, _splats: &'a Splats) -> Result<Option<Box<dyn Rasterizer + 'a>>, RasterError> {
         Ok(None)
     }
 
     /// Uploads channels, for [`Kept::bring`]. Returns a handle, opaque to others, that keeps them on the device until
-    /// it is dropped; `None` where this engine computes on the host, or where they would take too much memory.
+    /// it is dropped; `None` where this rasteriser computes on the host, or where they would take too much memory.
     fn bring(&self, _channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
-        Ok(None)
-    }
-
-    /// Uploads features, to be refined on the device ([`Refining::settle`]). `None` as for [`Engine::bring`].
-    fn settle_refining(&self, _field: &Refining) -> Result<Option<Box<dyn DeviceRefinement>>, RasterError> {
-        Ok(None)
-    }
-
-    /// Uploads the feature target of a photo, for many steps ([`FeatureTarget::on_device`]). `None` as for
-    /// [`Engine::bring`].
-    fn upload_target(
-        &self,
-        _feature_target: &FeatureTarget,
-    ) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
-        Ok(None)
-    }
-
-    /// [`score`](crate::field::score) of features that were uploaded; `None` where they were not.
-    fn similarity(&self, _features: &Kept, _queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
-        Ok(None)
-    }
-
-    /// Allocates sums of rows of so many numbers per splat on the device, for [`Lifting::settle`]. `None` as for
-    /// [`Engine::settle_refining`].
-    fn settle_lifting(
-        &self,
-        _splats: usize,
-        _row: usize,
-    ) -> Result<Option<Box<dyn DeviceLifting>>, RasterError> {
-        Ok(None)
-    }
-
-    /// Uploads splats, which `held` provides, to be trained on the device. `None` as for [`Engine::hold`].
-    fn settle(&self, _held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
         Ok(None)
     }
 }
@@ -208,26 +171,9 @@ pub trait Projected: Send + Sync {
     /// Lifting, coverage and contribution are this sum over images of targets, masks and ones.
     fn gather(&self, image: &Image) -> Result<Vec<f32>, RasterError>;
 
-    /// Adds [`Projected::gather`] of an image to sums; its last plane is the weight that its pixels have.
-    ///
-    /// # Panics
-    /// If the sums are on the device of another engine, or of another number of splats.
-    fn lift(&self, sums: &mut Lifting, image: &Image) -> Result<(), RasterError> {
-        sums.add(&self.gather(image)?);
-        Ok(())
-    }
-
-    /// One step of features by the feature target of this view and by the compactness loss of sampled pixels.
-    ///
-    /// # Panics
-    /// If the features are on the device of another engine, or sizes differ.
-    fn refine(
-        &self,
-        field: &mut Refining,
-        feature_target: &FeatureTarget,
-        sampled: &SampledPixels,
-    ) -> Result<(), RasterError> {
-        field.learn(self, feature_target, sampled)
+    /// The view on its device, opaque to others: a device knows its own. `None` where it is on the host.
+    fn on_device(&self) -> Option<&(dyn Any + Send + Sync)> {
+        None
     }
 
     /// Gradients of every parameter for a frame that [`Projected::blend`] made from the same channels.

@@ -1,6 +1,6 @@
 //! Channels that are blended in many views.
 
-use crate::{Channels, Engine, RasterError};
+use crate::{Channels, RasterError, Rasterizer};
 use std::any::Any;
 use std::borrow::Cow;
 
@@ -20,7 +20,7 @@ impl<'a> Kept<'a> {
     }
 
     /// Uploads them to the device of an engine, if it has one.
-    pub fn bring(&mut self, engine: &dyn Engine) -> Result<(), RasterError> {
+    pub fn bring(&mut self, engine: &dyn Rasterizer) -> Result<(), RasterError> {
         self.on_device = engine.bring(&self.channels())?;
         Ok(())
     }
@@ -30,7 +30,7 @@ impl<'a> Kept<'a> {
         Channels { count: self.count, values: &self.values }
     }
 
-    /// Handle that [`Engine::bring`] returned.
+    /// Handle that [`Rasterizer::bring`] returned.
     pub fn on_device(&self) -> Option<&(dyn Any + Send + Sync)> {
         self.on_device.as_deref()
     }

@@ -7,7 +7,7 @@ const C3: [f32; 7] =
     [-0.590_043_6, 2.890_611_4, -0.457_045_8, 0.373_176_33, -0.457_045_8, 1.445_305_7, -0.590_043_6];
 
 /// Values of the basis functions in a unit direction; the first `(degree + 1)²` are set.
-pub(crate) fn basis(degree: u32, [x, y, z]: [f32; 3]) -> [f32; 16] {
+pub fn basis(degree: u32, [x, y, z]: [f32; 3]) -> [f32; 16] {
     let mut b = [0.0; 16];
     b[0] = C0;
     if degree >= 1 {
@@ -36,7 +36,7 @@ pub(crate) fn basis(degree: u32, [x, y, z]: [f32; 3]) -> [f32; 16] {
 }
 
 /// Gradient with respect to the direction, from the gradients with respect to the basis functions' values.
-pub(crate) fn basis_backward(degree: u32, [x, y, z]: [f32; 3], g: &[f32; 16]) -> [f32; 3] {
+pub fn basis_backward(degree: u32, [x, y, z]: [f32; 3], g: &[f32; 16]) -> [f32; 3] {
     let mut d = [0.0; 3];
     if degree >= 1 {
         d[1] -= C1 * g[1];

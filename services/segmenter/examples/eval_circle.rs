@@ -85,7 +85,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         let prompted =
             [PromptedView { view: first, mask: &mask, open: None, points: &points, refused: false }];
         let request = Request {
-            engine: &engine,
+            rasterizer: &engine,
+            backend: &engine,
             options,
             splats: &splats,
             views: &views,

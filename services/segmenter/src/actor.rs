@@ -7,7 +7,8 @@ use crate::{
     Request, SegmentError, SegmentSettings, Selection, SpikeCut, SplatFeatures, cut, select,
 };
 use segwild_flow::{Actor, ActorFailure, Context, Message, Phase, Sender, Stopper};
-use segwild_raster::{Engine, ProjectOptions};
+use segwild_objective::Engine;
+use segwild_raster::ProjectOptions;
 use segwild_scene::{Image, Mask, Prompts, ScoredMask, Splats};
 use segwild_vision::{PromptSegmenter, Prompted};
 use std::collections::HashMap;
@@ -133,7 +134,8 @@ impl SegmentActor {
         let photos: Vec<Image> = task.prompts.iter().map(read).collect::<Result<_, _>>()?;
         let held = self.engine.hold(&self.splats).map_err(SegmentError::raster("the scene"))?;
         let blank = Request {
-            engine: held.as_deref().unwrap_or(&*self.engine),
+            rasterizer: held.as_deref().unwrap_or(&*self.engine),
+            backend: &*self.engine,
             options: self.options,
             splats: &self.splats,
             views: &self.views,

@@ -1,7 +1,7 @@
 //! The selected object as splats of its own and as masks on any photo (method, section 10).
 
 use crate::SpikeCut;
-use segwild_raster::{Channels, Engine, ProjectOptions, RasterError};
+use segwild_raster::{Channels, ProjectOptions, RasterError, Rasterizer};
 use segwild_scene::{Camera, Image, Mask, Pose, Splats, box_mean};
 
 /// Share of a pixel that the object must make up to own it, relative to its mean share around there; absolute where it is
@@ -99,7 +99,7 @@ fn margin(share: &Image, mode: MaskMode) -> Image {
 
 /// The pixels that show the object, with the whole scene occluding.
 pub fn visible_mask(
-    engine: &dyn Engine,
+    engine: &dyn Rasterizer,
     splats: &Splats,
     labels: &[bool],
     options: &ProjectOptions,
@@ -115,7 +115,7 @@ pub fn visible_mask(
 
 /// The pixels that the object would cover if nothing occluded it.
 pub fn amodal_mask(
-    engine: &dyn Engine,
+    engine: &dyn Rasterizer,
     splats: &Splats,
     labels: &[bool],
     options: &ProjectOptions,

@@ -3,8 +3,9 @@
 use crate::SegmentError;
 use glam::Vec2;
 use rayon::prelude::*;
-use segwild_raster::field::{Queries, dot, score};
-use segwild_raster::{Engine, Kept, ProjectOptions};
+use segwild_objective::FieldBackend;
+use segwild_objective::field::{Queries, dot, score};
+use segwild_raster::{Kept, ProjectOptions, Rasterizer};
 use segwild_scene::{Camera, Image, Pose, Splats};
 
 /// Rows that one task scores: fixed, so that nothing depends on the number of threads.
@@ -33,7 +34,7 @@ impl SplatFeatures {
     }
 
     /// Uploads the values to an engine that keeps them on its device: similarities are then computed there.
-    pub fn bring(&mut self, engine: &dyn Engine) -> Result<(), SegmentError> {
+    pub fn bring(&mut self, engine: &dyn Rasterizer) -> Result<(), SegmentError> {
         self.features.bring(engine).map_err(SegmentError::raster("the features"))
     }
 
@@ -92,7 +93,7 @@ impl SplatFeatures {
     /// `clicks` are feature vectors of [`SplatFeatures::channels`] numbers; those without a direction are refused.
     pub fn similarity(
         &self,
-        engine: &dyn Engine,
+        engine: &dyn FieldBackend,
         clicks: &[Vec<f32>],
         temperature: f32,
     ) -> Result<Vec<f32>, SegmentError> {
@@ -176,7 +177,7 @@ impl ClickHit {
 /// The splats that a click hits: those that make up the square of `2 window + 1` pixels around it. Only
 /// that square is rendered. `point` is in pixels of `camera`.
 pub fn hit(
-    engine: &dyn Engine,
+    engine: &dyn Rasterizer,
     splats: &Splats,
     options: &ProjectOptions,
     camera: &Camera,

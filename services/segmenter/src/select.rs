@@ -12,7 +12,8 @@ use crate::{
     SplatFeatures, components, propagate, smooth,
 };
 use glam::Vec2;
-use segwild_raster::{Engine, ProjectOptions, Projected};
+use segwild_objective::FieldBackend;
+use segwild_raster::{ProjectOptions, Projected, Rasterizer};
 use segwild_scene::{Camera, Image, Mask, PointPrompt, Pose, Splats, View};
 
 /// Accumulated alpha under which a click counts as on nothing.
@@ -77,7 +78,9 @@ pub type MaskReader = dyn Fn(usize) -> Option<Mask> + Send + Sync;
 #[derive(Clone, Copy)]
 pub struct Request<'a> {
     /// The rasteriser.
-    pub engine: &'a dyn Engine,
+    pub rasterizer: &'a dyn Rasterizer,
+    /// Compares features on the device that has them.
+    pub backend: &'a dyn FieldBackend,
     /// How it projects.
     pub options: ProjectOptions,
     /// The scene.
@@ -395,7 +398,7 @@ pub(crate) fn hits(request: &Request) -> Result<(Vec<ClickHit>, Vec<ClickHit>), 
             }
             let window = request.settings.click_window.min(64);
             let hit = crate::hit(
-                request.engine,
+                request.rasterizer,
                 request.splats,
                 &request.options,
                 &view.camera,
@@ -448,12 +451,12 @@ fn similarities(
         return Ok(None);
     }
     let temperature = request.settings.click_temperature;
-    let positive = field.similarity(request.engine, &queries, temperature)?;
+    let positive = field.similarity(request.backend, &queries, temperature)?;
     let clusters = cluster_features(field, prompted);
     let mut held = if clusters.is_empty() {
         Vec::new()
     } else {
-        field.similarity(request.engine, &clusters, temperature)?
+        field.similarity(request.backend, &clusters, temperature)?
     };
     held.iter_mut().zip(&positive).for_each(|(held, clicked)| *held = held.max(*clicked));
     Ok(Some(Similarities {
@@ -462,7 +465,7 @@ fn similarities(
         negative: if refusals.is_empty() {
             None
         } else {
-            Some(field.similarity(request.engine, &refusals, temperature)?)
+            Some(field.similarity(request.backend, &refusals, temperature)?)
         },
     }))
 }
@@ -482,8 +485,8 @@ pub(crate) fn project<'a>(
     view: &PosedView,
     camera: &Camera,
 ) -> Result<Box<dyn Projected + 'a>, SegmentError> {
-    let engine: &'a dyn Engine = request.engine;
-    engine
+    request
+        .rasterizer
         .project(request.splats, camera, &view.pose, &request.options)
         .map_err(SegmentError::raster(&view.name))
 }

@@ -149,7 +149,7 @@ fn share_of(request: &Request, view: &PosedView, labels: &[bool]) -> Result<Imag
     let values: Vec<f32> = labels.iter().map(|&label| f32::from(u8::from(label))).collect();
     let raster = || SegmentError::raster(&view.name);
     let projected = request
-        .engine
+        .rasterizer
         .project(request.splats, &view.camera, &view.pose, &request.options)
         .map_err(raster())?;
     Ok(projected.blend(&Channels { count: 1, values: &values }).map_err(raster())?.image)

@@ -4,7 +4,7 @@
 //! `appearance_cost SCENE [--steps N] [--size PX]`. The trainings take turns step by step, so that whatever else the machine does
 //! falls on all of them. CPU time is read from Linux's /proc.
 
-use segwild_raster::{Channels, CpuEngine, Engine};
+use segwild_raster::{Channels, CpuEngine, Rasterizer};
 use segwild_scene::{Scene, SceneSettings};
 use segwild_trainer::{AppearanceModel, TrainPhoto, TrainSettings, Trainer, render_lit};
 use std::error::Error;

@@ -2,7 +2,7 @@
 
 use crate::{Checkpoint, Model, Photos, TrainError, TrainSettings, Trainer};
 use segwild_flow::{Actor, ActorFailure, Context, Message, Quarantined, Sender, fault};
-use segwild_raster::Engine;
+use segwild_objective::Engine;
 use segwild_scene::{Scene, Skipped};
 use std::sync::Arc;
 use std::time::{Duration, Instant};

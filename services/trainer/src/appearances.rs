@@ -1,10 +1,11 @@
 //! Appearance of the photos: how each photo's colours differ from the scene's, and fits of it (method, section 3).
 
-use crate::background::solve;
 use crate::photos::{PhotoLevel, Stored};
 use crate::posed::{Posed, colour_pairs};
 use crate::{AppearanceModel, TrainSettings};
-use segwild_raster::{
+use segwild_nn::solve;
+use segwild_objective::background::Background;
+use segwild_objective::{
     AffineAppearance, AnyAppearance, EmbedAppearance, GswAppearance, HIDDEN_LAYER, ImageConditioning,
     NoAppearance, RANK,
 };
@@ -351,12 +352,45 @@ pub(crate) fn undo(appearance: &AffineColour, colours: &[[f32; 3]]) -> Vec<[f32;
         .collect()
 }
 
+/// The background that a colour matrix turns into this one.
+pub(crate) fn background_before(background: &Background, appearance: &AffineColour) -> Background {
+    Background { coefficients: undo(appearance, &background.coefficients) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use segwild_scene::Random;
+    use glam::Vec3;
+    use segwild_objective::background::{PRIOR, SkySums, direction};
+    use segwild_scene::{Camera, Pose, Random};
 
     const MATRIX: AffineColour = [0.8, 0.1, 0.0, 0.05, 0.0, 1.1, -0.1, 0.0, 0.1, 0.0, 0.6, 0.2];
+
+    fn camera() -> (Camera, Pose) {
+        let camera = Camera { width: 40, height: 30, fx: 40.0, fy: 40.0, cx: 20.0, cy: 15.0 };
+        (camera, Pose::look_at(Vec3::new(1.0, 0.0, -2.0), Vec3::ZERO, Vec3::NEG_Y))
+    }
+
+    /// The sky of a photo whose appearance makes the scene much darker.
+    #[test]
+    fn a_bright_sky_around_a_dark_statue_keeps_its_colour() {
+        let (camera, pose) = camera();
+        let sky = |d: Vec3| [0.95, 0.7 - 0.2 * d.y, 0.6 + 0.1 * d.x];
+        let seen = |i: usize| Some((sky(direction(&camera, &pose, i % 40, i / 40)), 1.0));
+        let background = Background::fit(SkySums::of(&camera, &pose, 1, seen), PRIOR).unwrap();
+        for gain in [0.5, 0.25, 0.12] {
+            let appearance = [gain, 0.0, 0.0, 0.0, 0.0, gain, 0.0, 0.02, 0.0, 0.0, 0.8 * gain, 0.0];
+            let image = background_before(&background, &appearance).paint(&camera, &pose);
+            for i in 0..1200 {
+                let x = [image.data[i], image.data[1200 + i], image.data[2400 + i], 1.0];
+                let wanted = seen(i).unwrap().0;
+                for c in 0..3 {
+                    let shown: f32 = (0..4).map(|k| appearance[4 * c + k] * x[k]).sum();
+                    assert!((shown - wanted[c]).abs() < 0.08, "{gain} {i} {c}: {shown} for {}", wanted[c]);
+                }
+            }
+        }
+    }
 
     #[test]
     fn a_colour_matrix_is_found_despite_transients_and_can_be_undone() {

@@ -2,15 +2,15 @@
 
 use crate::TrainError;
 use crate::appearances::{self, LitPixel};
-use crate::background::{Background, PRIOR_OF_HALF};
 use crate::light::directions;
 use crate::model::{Model, compose};
 use crate::photos::{PhotoLevel, Photos, Stored, TrainPhotoCache};
 use crate::posed::posed_view;
-use segwild_raster::compare::{SkySums, contradicted, mean_difference};
-use segwild_raster::{
-    AffineAppearance, AnyAppearance, Appearance, Channels, Engine, HIDDEN_LAYER, RANK, psnr, ssim,
-};
+use segwild_objective::background::{Background, PRIOR_OF_HALF, SkySums};
+use segwild_objective::compare::mean_difference;
+use segwild_objective::transients::contradicted;
+use segwild_objective::{AffineAppearance, AnyAppearance, Appearance, HIDDEN_LAYER, RANK, psnr, ssim};
+use segwild_raster::{Channels, Rasterizer};
 use segwild_scene::{Image, Scene, Splats, View};
 use std::sync::Arc;
 
@@ -57,7 +57,7 @@ pub struct Evaluation {
 /// Scores a model on some views.
 pub fn evaluate(
     model: &Model,
-    engine: &dyn Engine,
+    engine: &dyn Rasterizer,
     scene: &Scene,
     photos: Arc<dyn Photos>,
     views: &[usize],
@@ -123,7 +123,7 @@ pub(crate) struct Unseen {
 /// where none are to be fitted.
 pub(crate) fn render_unseen(
     model: &Model,
-    engine: &dyn Engine,
+    engine: &dyn Rasterizer,
     view: &View,
     stored: &Stored,
     level: usize,

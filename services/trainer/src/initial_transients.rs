@@ -13,8 +13,10 @@ use crate::multi_view_pruning::votes;
 use crate::photos::{Stored, TrainPhotoCache};
 use crate::posed::Posed;
 use crate::{AppearanceModel, Model, TrainError, TrainSettings, Trainer};
-use segwild_raster::compare::{INITIAL_TRANSIENT, mean_difference, relative};
-use segwild_raster::{Channels, Engine, Projected};
+use segwild_objective::Engine;
+use segwild_objective::compare::mean_difference;
+use segwild_objective::transients::{INITIAL_TRANSIENT, relative};
+use segwild_raster::{Channels, Projected, Rasterizer};
 use segwild_scene::{Mask, Scene, box_mean};
 use std::sync::Arc;
 
@@ -150,7 +152,7 @@ pub(crate) fn initial_transients(
 
 /// A short training, and the photos that it was made without.
 struct CrossCheck<'a> {
-    engine: &'a dyn Engine,
+    engine: &'a dyn Rasterizer,
     model: &'a Model,
     scene: &'a Scene,
     /// Largest share of a photo that may be transients.

@@ -6,7 +6,6 @@
 
 mod actor;
 mod appearances;
-mod background;
 mod choice;
 mod colours;
 mod density;
@@ -23,7 +22,6 @@ mod photometric;
 mod photos;
 mod pixels;
 mod posed;
-mod robust;
 mod sampler;
 mod schedule;
 mod settings;
@@ -35,7 +33,6 @@ mod trainer;
 mod transients;
 
 pub use actor::{FindCheckpoint, TrainActor, TrainOrder, TrainOutcome};
-pub use background::Background;
 pub use choice::{
     APPEARANCE_MODELS, AppearanceChoice, BudgetChoice, SIZE as CHOICE_SIZE, ShortFit, Tracks,
     choose_appearance, choose_budget, trial_size,
@@ -46,7 +43,8 @@ pub use evaluate::{Evaluation, Protocol, ViewScore, evaluate};
 pub use light::{SceneLight, SceneLighting, render_lit};
 pub use model::{Model, Stats, render_view};
 pub use photos::{Photos, Sifted, TrainPhoto};
-pub use segwild_raster::GswWidth;
+pub use segwild_objective::GswWidth;
+pub use segwild_objective::background::Background;
 pub use settings::{AppearanceModel, DensityKind, Preset, TrainSettings};
 pub use splat_budget::splat_cap;
 pub use stereo_points::stereo_bytes;

@@ -1,11 +1,11 @@
 //! The light that a trained scene is rendered in: a photo's appearance, an interpolation of several, or two at once.
 
 use crate::TrainError;
-use crate::background::Background;
 use crate::model::Model;
 use glam::Vec3;
-use segwild_raster::compare::add_background;
-use segwild_raster::{AppearanceEmbedding, Channels, Engine, Projected, bake};
+use segwild_objective::background::{Background, add_background};
+use segwild_objective::{AppearanceEmbedding, bake};
+use segwild_raster::{Channels, Projected, Rasterizer};
 use segwild_scene::{Camera, Image, Pose, Splats};
 
 /// An appearance taken out of the model: the appearance embedding that changes the splats' colours, and its background in its own
@@ -85,7 +85,7 @@ impl Model {
     }
 
     /// The splats with a lighting's colours as their own, for programs without appearance models. See
-    /// [`segwild_raster::bake`].
+    /// [`segwild_objective::bake`].
     ///
     /// # Panics
     /// If the lighting is of another model.
@@ -129,7 +129,7 @@ fn mix(all: &mut [f32], other: &[f32], whose: &[bool], stride: usize) {
 /// The scene from a camera under a lighting, over its background; sRGB in [0, 1].
 pub fn render_lit(
     model: &Model,
-    engine: &dyn Engine,
+    engine: &dyn Rasterizer,
     camera: &Camera,
     pose: &Pose,
     lighting: &SceneLighting,

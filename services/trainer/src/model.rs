@@ -2,11 +2,11 @@
 
 use crate::TrainError;
 use crate::appearances;
-use crate::background::Background;
 use crate::params::{select, splats_fit};
 use crate::state::appearance_fits;
-use segwild_raster::compare::{BASES, add_background};
-use segwild_raster::{AnyAppearance, Channels, Engine, Frame, ProjectOptions, VisibleSplats};
+use segwild_objective::background::{BASES, Background, add_background};
+use segwild_objective::{AnyAppearance, VisibleSplats};
+use segwild_raster::{Channels, Frame, ProjectOptions, Rasterizer};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -111,7 +111,7 @@ impl Model {
 
 /// Blends the splats' colours for a camera, in the appearance at `index`.
 pub(crate) fn render_frame(
-    engine: &dyn Engine,
+    engine: &dyn Rasterizer,
     model: &Model,
     index: usize,
     camera: &Camera,
@@ -133,7 +133,7 @@ pub(crate) fn render_frame(
 /// that photo's background; sRGB in [0, 1].
 pub fn render_view(
     model: &Model,
-    engine: &dyn Engine,
+    engine: &dyn Rasterizer,
     camera: &Camera,
     pose: &Pose,
     appearance: Option<usize>,
@@ -152,7 +152,9 @@ pub(crate) fn compose(
     camera: &Camera,
     pose: &Pose,
 ) -> Image {
-    let background_image = background.before(&appearances::matrix(appearance, index)).paint(camera, pose);
+    let background_image =
+        appearances::background_before(background, &appearances::matrix(appearance, index))
+            .paint(camera, pose);
     let mut image = frame.image.clone();
     add_background(&mut image, &frame.alpha, &background_image);
     let mut image = appearance.as_appearance().apply(index, &image);

@@ -80,7 +80,7 @@ pub(crate) fn votes(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use segwild_raster::{CpuEngine, Engine, ProjectOptions};
+    use segwild_raster::{CpuEngine, ProjectOptions, Rasterizer};
     use segwild_scene::{Camera, Pose, Splats};
 
     /// A wall at depth 5 that three cameras side by side see, and a splat right before the first of them.

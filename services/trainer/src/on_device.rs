@@ -9,8 +9,8 @@ use crate::density::{DensityStats, Reshaping};
 use crate::model::options;
 use crate::photometric::StepPhoto;
 use crate::trainer::Trainer;
-use segwild_raster::compare::LossOutput;
-use segwild_raster::{AnyAppearance, EmbedAppearance, Held, NetworksStep, Reshaped, TrainingStep};
+use segwild_objective::compare::LossOutput;
+use segwild_objective::{AnyAppearance, EmbedAppearance, Held, NetworksStep, Reshaped, TrainingStep};
 
 impl Trainer {
     /// Whether the splats are on the device.

@@ -1,9 +1,8 @@
 //! The splats as parameters of the optimiser.
 
 use crate::density::Reshaping;
-use segwild_raster::{
-    Adam, Held, OptimiserRules, Projected, Reshaped, SplatEmbeddings, SplatGrads, VisibleSplats,
-};
+use segwild_objective::{Adam, Held, OptimiserRules, Reshaped, SplatEmbeddings, VisibleSplats};
+use segwild_raster::{Projected, SplatGrads};
 use segwild_scene::{Pose, Splats};
 use std::ops::Range;
 use wincode::{SchemaRead, SchemaWrite};

@@ -1,16 +1,16 @@
 //! The photo's half of a step: the inputs of its photometric loss, and what appearance, background and robust masks learn
-//! from the output. The loss itself is computed where the splats are ([`segwild_raster::compare`]).
+//! from the output. The loss itself is computed where the splats are ([`segwild_objective::compare`]).
 
 use crate::TrainSettings;
 use crate::appearances::{self, AffineColour};
-use crate::background::Background;
 use crate::photos::{PhotoLevel, Stored};
 use crate::posed::Posed;
-use crate::robust::Robust;
 use crate::schedule::Schedule;
 use crate::state::Painter;
-use segwild_raster::AnyAppearance;
-use segwild_raster::compare::{LeaveOut, LossInputs, LossOutput, PhotoTarget};
+use segwild_objective::AnyAppearance;
+use segwild_objective::background::Background;
+use segwild_objective::compare::{LeaveOut, LossInputs, LossOutput, PhotoTarget};
+use segwild_objective::transients::ResidualHistograms;
 use segwild_scene::{Camera, Mask, Pose};
 
 /// The photo of a step, at the size of the step.
@@ -27,7 +27,7 @@ pub(crate) struct StepPhoto<'a> {
 pub(crate) struct PhotoSide<'a> {
     pub appearance: &'a mut AnyAppearance,
     pub background: &'a mut Background,
-    pub robust: &'a mut Robust,
+    pub robust: &'a mut ResidualHistograms,
     pub initial_transients: Option<&'a Mask>,
     pub quality: &'a mut Option<f32>,
     pub step: u32,
@@ -55,7 +55,7 @@ impl PhotoSide<'_> {
 
     /// The background, in the scene's colours.
     pub fn scene_background(&self, view: usize) -> Background {
-        self.background.before(&appearances::matrix(self.appearance, view))
+        appearances::background_before(self.background, &appearances::matrix(self.appearance, view))
     }
 
     /// The inputs of the photo's loss, over such a background.

@@ -1,7 +1,7 @@
 //! Photos as the trainer needs them: loaded one at a time, kept as bytes, at several sizes.
 
 use crate::TrainError;
-use segwild_raster::compare::PhotoTarget;
+use segwild_objective::compare::PhotoTarget;
 use segwild_scene::{Camera, Image, LoadedPhoto, Mask};
 use std::collections::BTreeMap;
 use std::sync::Arc;

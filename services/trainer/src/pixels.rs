@@ -1,9 +1,8 @@
 //! Per-pixel pieces of a training step.
 
-use crate::background::{Background, PRIOR};
 use crate::photos::Stored;
+use segwild_objective::background::{Background, PRIOR, SkySums};
 use segwild_raster::Projected;
-use segwild_raster::compare::SkySums;
 use segwild_scene::{Camera, Image, Pose};
 
 /// A plane at the centre of every splat that is seen, for density control; 0 outside the frame.

@@ -1,7 +1,7 @@
 //! The settings of the training.
 
 use crate::TrainError;
-use segwild_raster::GswWidth;
+use segwild_objective::GswWidth;
 use segwild_scene::Scene;
 use segwild_scene::settings::Group;
 

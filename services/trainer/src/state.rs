@@ -2,15 +2,15 @@
 
 use crate::TrainError;
 use crate::appearances;
-use crate::background::Background;
 use crate::density::{Density, Strategy};
 use crate::params::Params;
 use crate::photometric::PhotoSide;
-use crate::robust::Robust;
 use crate::sampler::Sampler;
 use crate::splat_budget::SplatBudget;
-use segwild_raster::compare::add_background;
-use segwild_raster::{AnyAppearance, AppearanceMaps, Channels, Frame, Projected};
+use segwild_objective::background::{Background, add_background};
+use segwild_objective::transients::ResidualHistograms;
+use segwild_objective::{AnyAppearance, AppearanceMaps};
+use segwild_raster::{Channels, Frame, Projected};
 use segwild_scene::{Camera, Image, Mask, Pose, Random};
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -52,7 +52,7 @@ impl Painter<'_> {
     /// A frame over the background, in the view's appearance: the photo's colours.
     pub fn show(&self, frame: &Frame, camera: &Camera, pose: &Pose) -> Image {
         let matrix = appearances::matrix(self.appearance, self.view);
-        let background_image = self.background.before(&matrix).paint(camera, pose);
+        let background_image = appearances::background_before(self.background, &matrix).paint(camera, pose);
         let mut scene = frame.image.clone();
         add_background(&mut scene, &frame.alpha, &background_image);
         self.appearance.as_appearance().apply(self.view, &scene)
@@ -68,7 +68,7 @@ pub(crate) struct TrainState {
     pub appearance: AnyAppearance,
     /// Per view of the scene, in the photo's colours; `None` until the photo's first step.
     pub backgrounds: Vec<Option<Background>>,
-    pub robust: Robust,
+    pub robust: ResidualHistograms,
     /// Per view, its initial transients.
     pub initial_transients: Vec<Option<Mask>>,
     pub sampler: Sampler,

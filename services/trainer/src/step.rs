@@ -10,8 +10,10 @@ use crate::photometric::StepPhoto;
 use crate::pixels::{at_centres, first_background};
 use crate::state::{RenderedView, mean_quality};
 use crate::trainer::{StepReport, Trainer};
-use segwild_raster::compare::{self, Compared, LeaveOut, LossOutput, VisibilityMap, mean_difference};
-use segwild_raster::{AnyAppearance, AppearanceMaps, Channels, FrameGrad};
+use segwild_objective::compare::{self, Compared, LeaveOut, LossOutput, mean_difference};
+use segwild_objective::transients::VisibilityMap;
+use segwild_objective::{AnyAppearance, AppearanceMaps, transients};
+use segwild_raster::{Channels, FrameGrad};
 use segwild_scene::{Image, Splats};
 
 impl Trainer {
@@ -157,7 +159,7 @@ impl Trainer {
             let residual =
                 self.views[view].untrusted_residual(&mean_difference(&shown, &photo.image()), photo);
             let share = if stored.transients_known { 0.0 } else { self.state.robust.shares()[view] };
-            let contradicted = compare::contradicted(&residual, photo.width, |i| photo.counts(i), share);
+            let contradicted = transients::contradicted(&residual, photo.width, |i| photo.counts(i), share);
             multi_view_pruning.add_photo(&*projected, photo.width, &contradicted, |i| photo.counts(i))?;
         }
         drop(held);

@@ -9,14 +9,14 @@ use crate::model::{Model, Stats};
 use crate::params::Params;
 use crate::photos::{Photos, Stored, TrainPhotoCache};
 use crate::posed::{Posed, posed};
-use crate::robust::Robust;
 use crate::sampler::Sampler;
 use crate::schedule::Schedule;
 use crate::splat_budget::SplatBudget;
 use crate::state::{TrainState, mean_quality};
 use crate::stereo_points;
 use crate::{TrainError, TrainSettings};
-use segwild_raster::{AnyAppearance, Engine, Resident};
+use segwild_objective::transients::ResidualHistograms;
+use segwild_objective::{AnyAppearance, Engine, Resident};
 use segwild_scene::Random;
 use segwild_scene::{Camera, Mask, Point, Scene, Skipped};
 use std::borrow::Cow;
@@ -162,7 +162,7 @@ impl Trainer {
         let scene = &*coloured(scene, &mut cache, stopping)?;
         let found = initial_transients(&engine, scene, &mut cache, &settings, stopping)?;
         let stereo = stereo_points::points(scene, &mut cache, &settings, &found.masks, stopping)?;
-        let robust = Robust::new(found.robust_shares(&settings), found.shares.clone());
+        let robust = ResidualHistograms::new(found.robust_shares(&settings), found.shares.clone());
         let mut trainer = Trainer::start(engine, scene, cache, settings, 0, &stereo)?;
         trainer.initial_transient_share = found.mean_share();
         trainer.state.initial_transients = found.masks;
@@ -216,7 +216,7 @@ impl Trainer {
             params: Params::new(start.splats, splat_embeddings),
             appearance,
             backgrounds: vec![None; scene.views.len()],
-            robust: Robust::new(
+            robust: ResidualHistograms::new(
                 vec![settings.robust_share; scene.views.len()],
                 vec![None; scene.views.len()],
             ),

@@ -4,8 +4,9 @@ use crate::TrainError;
 use crate::model::{Model, render_view};
 use crate::photos::{Stored, TrainPhoto};
 use crate::posed::posed_view;
-use segwild_raster::Engine;
-use segwild_raster::compare::{limit, mean_difference, smoothed, weighted_psnr};
+use segwild_objective::compare::{mean_difference, weighted_psnr};
+use segwild_objective::transients::{limit, smoothed};
+use segwild_raster::Rasterizer;
 use segwild_scene::{Image, Scene};
 
 /// Where the certainty is one half, as a share of the residual that training leaves out: by then the scene has learnt a
@@ -30,7 +31,7 @@ pub struct TransientEvidence {
 /// 0 where it shows none.
 pub fn transient_evidence(
     model: &Model,
-    engine: &dyn Engine,
+    engine: &dyn Rasterizer,
     scene: &Scene,
     view: usize,
     photo: &TrainPhoto,

@@ -16,10 +16,9 @@ use segwild_gpu::{
     AdapterChoice, CLICKS, FIELD_RULE, GpuEngine, LOSSES, NETWORKS, Reach, SIMILARITY, reach,
     some_appearance, some_feature_case, speed,
 };
-use segwild_raster::field::{Queries, score};
-use segwild_raster::{
-    Appearance, Channels, CpuEngine, Engine, FrameGrad, ProjectOptions, RasterError, VisibleSplats,
-};
+use segwild_objective::field::{Queries, score};
+use segwild_objective::{Appearance, VisibleSplats};
+use segwild_raster::{Channels, CpuEngine, FrameGrad, ProjectOptions, RasterError, Rasterizer};
 use segwild_scene::{Camera, Pose, Random, Splats};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

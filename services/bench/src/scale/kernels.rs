@@ -6,7 +6,7 @@ use crate::record::Record;
 use crate::synthetic::random::Rng;
 use glam::Vec3;
 use segwild_flow::cpu;
-use segwild_raster::{Channels, CpuEngine, Engine, FrameGrad, ProjectOptions};
+use segwild_raster::{Channels, CpuEngine, FrameGrad, ProjectOptions, Rasterizer};
 use segwild_scene::{Camera, Pose, Splats};
 use std::collections::BTreeMap;
 use std::time::Instant;

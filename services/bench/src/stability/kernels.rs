@@ -6,7 +6,7 @@ use crate::synthetic::random::Rng;
 use glam::{DQuat, Vec3};
 use segwild_raster::reference::{Parameters, Reference};
 use segwild_raster::{
-    Channels, CpuEngine, Engine, Frame, FrameGrad, ProjectOptions, RasterError, SplatGrads,
+    Channels, CpuEngine, Frame, FrameGrad, ProjectOptions, RasterError, Rasterizer, SplatGrads,
 };
 use segwild_scene::{Camera, Pose, Splats};
 use std::collections::BTreeMap;

@@ -6,8 +6,8 @@ use segwild_features::{
     Compression, FeatureColours, FeatureError, FeatureField, FeatureSettings, Lifted, Lifter, Pca, Progress,
     TargetSource, ViewTarget, build,
 };
-use segwild_raster::field::embedding_loss;
-use segwild_raster::{Channels, CpuEngine, Engine, ProjectOptions};
+use segwild_objective::field::embedding_loss;
+use segwild_raster::{Channels, CpuEngine, ProjectOptions, Rasterizer};
 use segwild_scene::{Camera, Embedding, Image, Mask, Pose, Splats};
 use std::ops::ControlFlow;
 use std::sync::Arc;

@@ -7,11 +7,12 @@ use crate::nets::Visible;
 use crate::view::pack_image;
 use crate::{GpuEngine, GpuError};
 use glam::Vec3;
-use segwild_raster::compare::{
-    self as host, BASES, BINS, BackgroundSums, Compared, LeaveOut, LossInputs, LossOutput, PhotoTarget,
-    Residuals, VisibilityMap, smoothed,
-};
-use segwild_raster::{AffineAppearance, Appearance, Frame, ProjectOptions, RasterError};
+use segwild_objective::background;
+use segwild_objective::background::{BASES, BackgroundSums};
+use segwild_objective::compare::{self as host, Compared, LeaveOut, LossInputs, LossOutput, PhotoTarget};
+use segwild_objective::transients::{BINS, Residuals, VisibilityMap, smoothed};
+use segwild_objective::{AffineAppearance, Appearance};
+use segwild_raster::{Frame, ProjectOptions, RasterError};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use std::sync::Arc;
 
@@ -251,8 +252,8 @@ fn some(shares: &Option<Vec<f32>>) -> &[f32] {
 /// Colours shown by the host.
 fn shown(test_case: &TestCase) -> Image {
     let mut scene = test_case.frame.image.clone();
-    let background = host::paint(&test_case.background, &test_case.camera, &test_case.pose);
-    host::add_background(&mut scene, &test_case.frame.alpha, &background);
+    let background = background::paint(&test_case.background, &test_case.camera, &test_case.pose);
+    background::add_background(&mut scene, &test_case.frame.alpha, &background);
     let Some(matrix) = test_case.matrix else { return scene };
     let mut appearance = AffineAppearance::new(1);
     appearance.set_matrix(0, matrix);

@@ -1,6 +1,6 @@
 //! Test cases of the feature field, for the device and the host.
 
-use segwild_raster::field::{
+use segwild_objective::field::{
     AreaAverage, FeatureTarget, FieldRule, LearnedDecoder, Membership, Refining, SampledPixels,
 };
 use segwild_scene::{Image, Mask, MaskSet, Random, ScoredMask};

@@ -5,8 +5,9 @@ use super::{KernelCheck, SIZE, SPLATS, Tolerance};
 use crate::field::{GpuFeatureTarget, GpuField, GpuRows};
 use crate::view::{at_once, gathered_at_once, pack_image, pack_splats, parts_of, unpack_image};
 use crate::{GpuEngine, GpuError};
-use segwild_raster::field::{DeviceRefinement, FieldRule, Lifting, Queries, RowAdam, dot, score};
-use segwild_raster::{Channels, Engine, Kept, Projected, RasterError};
+use segwild_objective::FieldBackend;
+use segwild_objective::field::{DeviceRefinement, FieldRule, Lifting, Queries, RowAdam, dot, score};
+use segwild_raster::{Channels, Kept, Projected, RasterError};
 use segwild_scene::{Image, Random};
 
 const RULE: FieldRule = FieldRule { embedding: 0.7, compact: 0.3, rate: 0.01 };
@@ -74,8 +75,8 @@ fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, 
             *v = if (i % width + 20 * step) % width < width / 2 { random.uniform() - 0.3 } else { 0.0 };
         }
         image.data[width * (height / 2) + step] = f32::NAN;
-        right.add(&view.gather(&image)?);
-        view.lift(&mut sums, &image)?;
+        right.add(view, &image)?;
+        sums.add(view, &image)?;
     }
     let ((sums, weights), (right_sums, right_weights)) = (sums.finish()?, right.finish()?);
     Ok(Tolerance::PROJECTED
@@ -202,8 +203,8 @@ fn steps(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>,
     there.settle(engine)?;
     for _ in 0..3 {
         let made = case.make(random);
-        view.refine(&mut here, &made.feature_target(), &made.sampled_pixels())?;
-        view.refine(&mut there, &made.feature_target(), &made.sampled_pixels())?;
+        here.step(view, &made.feature_target(), &made.sampled_pixels())?;
+        there.step(view, &made.feature_target(), &made.sampled_pixels())?;
     }
     let (here, there) = (here.finish()?, there.finish()?);
     Ok(alike(Tolerance::GRADIENTS, "features", &there.values, &here.values))

@@ -17,7 +17,7 @@ use crate::engine::{BUCKET, Binned, Cloud, TILE, bin, scan, sort};
 use crate::{GpuEngine, GpuError};
 use glam::Vec3;
 use segwild_raster::{
-    ALPHA_MAX, ALPHA_MIN, Channels, CpuEngine, Engine, FrameGrad, ProjectOptions, Projected, RasterError,
+    ALPHA_MAX, ALPHA_MIN, Channels, CpuEngine, FrameGrad, ProjectOptions, Projected, RasterError, Rasterizer,
     SplatGrads,
 };
 use segwild_scene::{Camera, Image, Pose, Random, Splats};

@@ -5,11 +5,9 @@ use crate::GpuEngine;
 use crate::GpuError;
 use crate::nets::{GpuNetworks, GpuTape, GpuWeights, NetworkLighting, NetworkPlan};
 use segwild_nn::{Conv, Form, Map, NetworkGraph, Op, OpKind, WeightLayout};
-use segwild_raster::gsw::{BELOW, EMBEDDING_SIZE, LAYER, Networks};
-use segwild_raster::{
-    Appearance, CpuEngine, Engine, GswAppearance, GswWidth, NetworksStep, ProjectOptions, RasterError, Rule,
-    VisibleSplats,
-};
+use segwild_objective::gsw::{BELOW, EMBEDDING_SIZE, LAYER, Networks};
+use segwild_objective::{Appearance, GswAppearance, GswWidth, NetworksStep, Rule, VisibleSplats};
+use segwild_raster::{CpuEngine, ProjectOptions, RasterError, Rasterizer};
 use segwild_scene::{Camera, Pose, Random, Splats};
 
 /// A photo of this size: more pixels at half of it than a slice of the weights' gradients has, and borders on all sides.

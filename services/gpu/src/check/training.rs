@@ -5,10 +5,11 @@ use crate::compare::{StepReadback, results_buffer};
 use crate::training::GpuTraining;
 use crate::view::pack_image;
 use crate::{GpuEngine, GpuError};
-use segwild_raster::{
-    Adam, Appearance, Channels, CpuEngine, EmbedAppearance, EmbedLight, Engine, Frame, FrameGrad, Held,
-    OptimiserRules, ProjectOptions, RasterError, Reshaped, Resident, Rule, SplatEmbeddings,
+use segwild_objective::{
+    Adam, Appearance, EmbedAppearance, EmbedLight, Held, OptimiserRules, Reshaped, Resident, Rule,
+    SplatEmbeddings,
 };
+use segwild_raster::{Channels, CpuEngine, Frame, FrameGrad, ProjectOptions, RasterError, Rasterizer};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 
 /// A training state with moments as in the middle of a training.

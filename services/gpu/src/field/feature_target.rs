@@ -3,7 +3,7 @@
 use crate::GpuError;
 use crate::device::{DeviceWork, GpuDevice, PooledBuffer};
 use crate::memory::keeps_channels;
-use segwild_raster::field::{AreaAverage, FeatureTarget, Window};
+use segwild_objective::field::{AreaAverage, FeatureTarget, Window};
 use std::sync::Arc;
 
 /// A feature target on the device.

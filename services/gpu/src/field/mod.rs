@@ -1,4 +1,4 @@
-//! The feature field on the device (`raster/src/field/`): features, their decoder and their losses.
+//! The feature field on the device (`objective/src/field/`): features, their decoder and their losses.
 
 mod feature_target;
 mod pairs;
@@ -14,11 +14,12 @@ use crate::device::{DeviceWork, GpuDevice, PooledBuffer, lock};
 use crate::engine::GROUP;
 use crate::nets::{GpuTape, GpuWeights, Link, NetworkPlan};
 use crate::shaders::{AREA_AVERAGE, AREA_SPREAD, EMBEDDING_LOSS};
-use crate::view::at_once;
+use crate::view::{GpuView, at_once};
 use pairs::Pairs;
-use segwild_raster::field::{DeviceRefinement, FieldLosses, FieldRule, Refined, Refining, SampledPixels};
-use segwild_raster::{Channels, RasterError};
-use std::any::Any;
+use segwild_objective::field::{
+    DeviceRefinement, FeatureTarget, FieldLosses, FieldRule, Refined, Refining, SampledPixels,
+};
+use segwild_raster::{Channels, Projected, RasterError};
 use std::slice;
 use std::sync::{Arc, Mutex};
 
@@ -230,7 +231,14 @@ impl DeviceRefinement for GpuField {
         Ok(FieldLosses { embedding, compact })
     }
 
-    fn as_any(&self) -> &dyn Any {
-        self
+    fn step(
+        &self,
+        view: &dyn Projected,
+        feature_target: &FeatureTarget,
+        sampled: &SampledPixels,
+    ) -> Result<(), RasterError> {
+        let view = GpuView::of(view, &self.device);
+        assert_eq!(feature_target.average.from(), view.size(), "refine: width, height");
+        Ok(view.try_refine(self, feature_target, sampled)?)
     }
 }

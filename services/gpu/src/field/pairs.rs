@@ -1,4 +1,4 @@
-//! Pairs of sampled pixels: the compactness loss (`raster/src/field/compact.rs`).
+//! Pairs of sampled pixels: the compactness loss (`objective/src/field/compact.rs`).
 //!
 //! Cosines of all pairs are a product of the pixels' unit features with themselves, and their gradients are another:
 //! layers of a network whose weights are the unit features. Pairs of many pixels are computed in pieces of some
@@ -9,7 +9,7 @@ use crate::device::{DeviceWork, PooledBuffer};
 use crate::engine::GROUP;
 use crate::nets::{GpuTape, NetworkPlan};
 use crate::shaders::{ADD_PULL, MATES, PAIRS, PULL, SAMPLED, TOTAL, UNITS};
-use segwild_raster::field::{Membership, SampledPixels};
+use segwild_objective::field::{Membership, SampledPixels};
 
 /// Pairs of a piece, but for its last column.
 const PIECE: usize = 1 << 20;

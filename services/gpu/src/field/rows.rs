@@ -1,4 +1,4 @@
-//! Rows of numbers, one per splat, and their optimiser (`raster/src/field/rows.rs`).
+//! Rows of numbers, one per splat, and their optimiser (`objective/src/field/rows.rs`).
 
 use crate::GpuError;
 use crate::device::{DeviceWork, GpuDevice, PooledBuffer};

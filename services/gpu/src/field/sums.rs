@@ -1,14 +1,14 @@
-//! Lifting on the device: sums per splat over views (`raster/src/field/lifting.rs`).
+//! Lifting on the device: sums per splat over views (`objective/src/field/lifting.rs`).
 
 use super::rows::states;
 use crate::GpuError;
 use crate::device::{DeviceWork, GpuDevice, PooledBuffer};
 use crate::engine::GROUP;
 use crate::shaders::ROW_ADD;
-use crate::view::gathered_at_once;
-use segwild_raster::RasterError;
-use segwild_raster::field::DeviceLifting;
-use std::any::Any;
+use crate::view::{GpuView, gathered_at_once};
+use segwild_objective::field::DeviceLifting;
+use segwild_raster::{Projected, RasterError};
+use segwild_scene::Image;
 use std::sync::Arc;
 
 /// Sums over views.
@@ -46,13 +46,8 @@ impl GpuSums {
         self.row + 1
     }
 
-    /// Number of splats.
-    pub fn rows(&self) -> usize {
-        self.rows
-    }
-
     /// Adds the sums of a view, each of so many vec4 of every row.
-    pub fn add(
+    pub fn add_view(
         &self,
         work: &mut DeviceWork,
         results: &[PooledBuffer],
@@ -87,7 +82,10 @@ impl DeviceLifting for GpuSums {
         Ok((sums, weights))
     }
 
-    fn as_any(&self) -> &dyn Any {
-        self
+    fn add(&self, view: &dyn Projected, image: &Image) -> Result<(), RasterError> {
+        let view = GpuView::of(view, &self.device);
+        view.assert_image(image, self.count(), "lift");
+        assert_eq!(self.rows, view.splats(), "splats");
+        Ok(view.try_lift(self, image)?)
     }
 }

@@ -1,5 +1,5 @@
 //! The networks of the appearance model `gsw` on the device, forward and backward: twins of `segwild_nn` and
-//! `raster/src/appearance/gsw/`, kernel by kernel.
+//! `objective/src/appearance/gsw/`, kernel by kernel.
 
 mod layer;
 mod plan;

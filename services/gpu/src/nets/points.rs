@@ -1,6 +1,6 @@
 //! A step of the appearance model `gsw` on the device: a network of the photo, and small ones of the splats in sight.
 //! Splats pass through them piece by piece, so that activations take the same memory whatever their number. Twin:
-//! `raster/src/appearance/gsw/points.rs`.
+//! `objective/src/appearance/gsw/points.rs`.
 
 use super::plan::{GpuTape, GpuWeights, Link, NetworkPlan};
 use crate::GpuError;
@@ -12,8 +12,8 @@ use crate::shaders::{
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use segwild_nn::Mlp;
-use segwild_raster::gsw::{DYNAMIC, HIDDEN_LAYER, INTRINSIC, LAYER, MAPS, Networks, OFF_MAP, VECTOR};
-use segwild_raster::{GswWidth, HeldNetworks, NetworksStep, UNetInput};
+use segwild_objective::gsw::{DYNAMIC, HIDDEN_LAYER, INTRINSIC, LAYER, MAPS, Networks, OFF_MAP, VECTOR};
+use segwild_objective::{GswWidth, HeldNetworks, NetworksStep, UNetInput};
 use segwild_scene::NEAR;
 
 /// Splats of a piece, at most.

@@ -3,10 +3,10 @@
 
 use glam::Vec3;
 use segwild_gpu::{AdapterChoice, GpuEngine, Kernel, Stage, adapters};
-use segwild_raster::compare::{LeaveOut, LossInputs, LossOutput, PhotoTarget, Residuals};
-use segwild_raster::{
-    EmbedLight, NetworksStep, OptimiserRules, ProjectOptions, RasterError, Resident, Rule, TrainingStep,
-};
+use segwild_objective::compare::{LeaveOut, LossInputs, LossOutput, PhotoTarget};
+use segwild_objective::transients::Residuals;
+use segwild_objective::{EmbedLight, NetworksStep, OptimiserRules, Resident, Rule, TrainingStep};
+use segwild_raster::{ProjectOptions, RasterError};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use std::sync::OnceLock;
 

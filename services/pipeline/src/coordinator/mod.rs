@@ -42,7 +42,7 @@ use segwild_flow::{
     Recorder, Report, Sender, StageProgress, System, SystemOptions, fault, mailbox,
 };
 use segwild_masks::{MaskActor, MaskMaker, MaskTask};
-use segwild_raster::Engine;
+use segwild_objective::Engine;
 use segwild_scene::{Scene, Skipped};
 use segwild_trainer::{Model, TrainActor, TrainOrder, TrainOutcome};
 use segwild_vision::{Embedder, PromptSegmenter, Providers};

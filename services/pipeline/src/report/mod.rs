@@ -17,7 +17,8 @@ use html::ChartSeries;
 use segwild_flow::codec::Decode;
 use segwild_flow::ledger::State;
 use segwild_flow::{Cache, FileError, Key, Ledger, SpanKind, TimelineRecord, fault};
-use segwild_raster::{AnyAppearance, Engine};
+use segwild_objective::AnyAppearance;
+use segwild_raster::Rasterizer;
 use segwild_scene::{Image, Mask, MaskSet, Skipped};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -187,7 +188,7 @@ const APPEARANCES: usize = 6;
 
 /// One view with the appearances of several photos, from the darkest to the brightest; nothing where all photos share
 /// one.
-fn appearances(loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
+fn appearances(loaded: &Loaded, engine: &dyn Rasterizer) -> Result<String, RunError> {
     let model = &loaded.model;
     if matches!(model.appearance, AnyAppearance::None(_)) {
         return Ok(String::new());
@@ -273,7 +274,7 @@ fn kept<T: Decode>(cache: &Cache, key: Option<&Key>, kind: &str, missing: &mut O
 fn photos(
     folder: &RunFolder,
     loaded: &Loaded,
-    engine: &dyn Engine,
+    engine: &dyn Rasterizer,
 ) -> Result<(String, Vec<Skipped>), RunError> {
     let cache = folder.cache()?;
     let (masks, skies) = (made(folder, "masks")?, made(folder, "sky")?);

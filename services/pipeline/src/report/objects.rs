@@ -5,7 +5,7 @@ use crate::folder::Loaded;
 use crate::render::{Mode, RenderContent, SceneRenderer};
 use crate::{ObjectList, RunError, RunFolder, Selected, choose_engine, log_loss};
 use segwild_flow::{FileError, files};
-use segwild_raster::Engine;
+use segwild_raster::Rasterizer;
 use segwild_scene::Image;
 use std::collections::BTreeMap;
 
@@ -42,7 +42,7 @@ pub(super) fn list(folder: &RunFolder) -> String {
 }
 
 /// All selections, each from a few of the photos it shows on.
-pub(super) fn all(folder: &RunFolder, loaded: &Loaded, engine: &dyn Engine) -> Result<String, RunError> {
+pub(super) fn all(folder: &RunFolder, loaded: &Loaded, engine: &dyn Rasterizer) -> Result<String, RunError> {
     let mut text = start_of_objects(folder)?;
     for name in folder.selections() {
         text.push_str(&object(folder, loaded, &name, engine)?);
@@ -102,7 +102,12 @@ fn with_object(report: &str, start: &str, names: &[String], name: &str, section:
 }
 
 /// A selection from a few of the photos it shows on; nothing if it cannot be read.
-fn object(folder: &RunFolder, loaded: &Loaded, name: &str, engine: &dyn Engine) -> Result<String, RunError> {
+fn object(
+    folder: &RunFolder,
+    loaded: &Loaded,
+    name: &str,
+    engine: &dyn Rasterizer,
+) -> Result<String, RunError> {
     let Ok(selected) = Selected::read(folder, name, loaded.model.splats.len()) else {
         return Ok(String::new());
     };

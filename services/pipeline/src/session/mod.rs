@@ -42,7 +42,7 @@ use crate::{
 use segwild_flow::{
     ActorOptions, Limits, Observer, Phase, Receiver, Sender, Stopper, System, SystemOptions, mailbox,
 };
-use segwild_raster::Engine;
+use segwild_objective::Engine;
 use segwild_scene::{Prompts, Scene};
 use segwild_segmenter::scene_tree::{GroupCandidate, SceneTree};
 use segwild_segmenter::{

@@ -7,7 +7,7 @@ use super::finding::{KnownTransients, crowded, odd, share_of};
 use crate::images::ImageFiles;
 use crate::{RunError, RunFolder};
 use segwild_flow::{ActorFailure, FileError, Key};
-use segwild_raster::Engine;
+use segwild_raster::Rasterizer;
 use segwild_scene::{Mask, Scene};
 use segwild_trainer::{Model, TrainPhoto};
 use segwild_vision::PromptSegmenter;
@@ -67,7 +67,7 @@ pub(crate) struct TransientMaskWriter<'a> {
     pub folder: &'a RunFolder,
     pub scene: &'a Scene,
     pub model: &'a Model,
-    pub engine: &'a dyn Engine,
+    pub engine: &'a dyn Rasterizer,
     pub segmenter: &'a dyn PromptSegmenter,
     pub known: &'a KnownTransients,
     /// Photos that are worked on at once.

@@ -1,7 +1,7 @@
 //! The visibility mask (VM) of a photo: its pixels that show the scene, and not sky, ignored areas or transients.
 
 use super::Corrections;
-use segwild_raster::Engine;
+use segwild_raster::Rasterizer;
 use segwild_scene::{Mask, View};
 use segwild_trainer::{Model, TrainError, render_view};
 
@@ -19,7 +19,7 @@ const TOLERANCE: f32 = 4.0;
 /// When the photo cannot be loaded or the scene cannot be rendered.
 pub fn visibility(
     model: &Model,
-    engine: &dyn Engine,
+    engine: &dyn Rasterizer,
     view: &View,
     index: usize,
     sky: Option<&Mask>,

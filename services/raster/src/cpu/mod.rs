@@ -7,7 +7,7 @@ mod bin;
 mod front;
 mod kernels;
 mod project;
-pub(crate) mod simd;
+pub mod simd;
 mod tile;
 mod wide;
 
@@ -17,7 +17,7 @@ pub use simd::Isa;
 
 use crate::engine::check;
 use crate::shade::{shade, shade_backward};
-use crate::{Channels, Engine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, SplatGrads};
+use crate::{Channels, Frame, FrameGrad, ProjectOptions, Projected, RasterError, Rasterizer, SplatGrads};
 use bin::Bins;
 use front::Front;
 use glam::Vec3;
@@ -109,7 +109,7 @@ impl CpuEngine {
     }
 }
 
-impl Engine for CpuEngine {
+impl Rasterizer for CpuEngine {
     fn name(&self) -> &'static str {
         "cpu"
     }

@@ -34,7 +34,7 @@ impl Isa {
     }
 
     /// [`Isa::detect`], evaluated once per process.
-    pub(crate) fn detect_once() -> Isa {
+    pub fn detect_once() -> Isa {
         static ISA: OnceLock<Isa> = OnceLock::new();
         *ISA.get_or_init(Isa::detect)
     }
@@ -60,18 +60,19 @@ impl Isa {
 }
 
 /// Number of lanes.
-pub(crate) const LANES: usize = 8;
+pub const LANES: usize = 8;
 
 /// Adding and subtracting it rounds to the nearest integer (ties to even), whose low bits it then holds.
 const ROUND: f32 = 12_582_912.0;
 
 /// Eight lanes of f32. A value of the implementing type proves that the processor has the instructions.
-pub(crate) trait Simd: Copy {
+pub trait Simd: Copy {
     /// Eight numbers.
     type F: Copy;
     /// Eight truth values.
     type M: Copy;
 
+    /// A lane-wise copy of one number.
     fn splat(self, x: f32) -> Self::F;
     /// # Safety
     /// `p` points to eight readable numbers.
@@ -79,18 +80,27 @@ pub(crate) trait Simd: Copy {
     /// # Safety
     /// `p` points to eight writable numbers.
     unsafe fn store(self, p: *mut f32, x: Self::F);
+    /// `a + b`.
     fn add(self, a: Self::F, b: Self::F) -> Self::F;
+    /// `a - b`.
     fn sub(self, a: Self::F, b: Self::F) -> Self::F;
+    /// `a b`.
     fn mul(self, a: Self::F, b: Self::F) -> Self::F;
+    /// `a / b`.
     fn div(self, a: Self::F, b: Self::F) -> Self::F;
+    /// Square root.
     fn sqrt(self, a: Self::F) -> Self::F;
     /// `a < b ? a : b`.
     fn min(self, a: Self::F, b: Self::F) -> Self::F;
     /// `a > b ? a : b`.
     fn max(self, a: Self::F, b: Self::F) -> Self::F;
+    /// Absolute value.
     fn abs(self, a: Self::F) -> Self::F;
+    /// Lanes where `a >= b`.
     fn ge(self, a: Self::F, b: Self::F) -> Self::M;
+    /// Lanes where `a < b`.
     fn lt(self, a: Self::F, b: Self::F) -> Self::M;
+    /// Lanes that are in both.
     fn both(self, a: Self::M, b: Self::M) -> Self::M;
     /// `a` where the mask holds, 0 elsewhere.
     fn keep(self, a: Self::F, m: Self::M) -> Self::F;
@@ -135,7 +145,7 @@ const COEFFICIENTS: [f32; 6] =
     [1.000000119e+00, 6.931469440e-01, 2.402212024e-01, 5.550713465e-02, 9.675540961e-03, 1.327646896e-03];
 
 /// Work that [`run`] compiles for each instruction set.
-pub(crate) trait SimdKernel {
+pub trait SimdKernel {
     /// What it returns.
     type Out;
     /// The work; implementations are `#[inline(always)]`.
@@ -144,7 +154,7 @@ pub(crate) trait SimdKernel {
 
 /// Runs a kernel on an instruction set. A set that the processor lacks falls back to the plain path.
 #[inline]
-pub(crate) fn run<K: SimdKernel>(isa: Isa, kernel: K) -> K::Out {
+pub fn run<K: SimdKernel>(isa: Isa, kernel: K) -> K::Out {
     #[cfg(target_arch = "x86_64")]
     {
         match isa {
@@ -161,7 +171,7 @@ pub(crate) fn run<K: SimdKernel>(isa: Isa, kernel: K) -> K::Out {
 
 /// Eight lanes as an array, for any processor.
 #[derive(Clone, Copy)]
-pub(crate) struct Plain;
+pub struct Plain;
 
 #[inline(always)]
 fn zip(a: [f32; LANES], b: [f32; LANES], f: impl Fn(f32, f32) -> f32) -> [f32; LANES] {
@@ -311,11 +321,11 @@ mod x86 {
 
     /// One 256-bit register. Made only by [`avx2`].
     #[derive(Clone, Copy)]
-    pub(crate) struct Avx2(());
+    pub struct Avx2(());
 
     /// One 256-bit register and twice as many of them. Made only by [`avx512`].
     #[derive(Clone, Copy)]
-    pub(crate) struct Avx512(());
+    pub struct Avx512(());
 
     // The same intrinsics serve both: compiled with AVX-512 VL, compares and masks become mask registers.
     macro_rules! registers {

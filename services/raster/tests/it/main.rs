@@ -2,10 +2,6 @@
 
 mod common;
 
-mod fallback;
-mod field;
-mod loss;
 mod poison;
 mod properties;
 mod reference;
-mod training;

@@ -1,7 +1,7 @@
 //! Values that no scene should have, and some do.
 
 use crate::common::{RasterTestRandom, splats, view};
-use segwild_raster::{Channels, CpuEngine, Engine, FrameGrad, ProjectOptions};
+use segwild_raster::{Channels, CpuEngine, FrameGrad, ProjectOptions, Rasterizer};
 use segwild_scene::Splats;
 
 /// Renders and goes back; every number that leaves must be finite. Returns whether splat 0 was culled.

@@ -3,7 +3,7 @@
 use crate::common::{RasterTestRandom, splats, view};
 use glam::Vec3;
 use proptest::prelude::*;
-use segwild_raster::{Channels, CpuEngine, Engine, FrameGrad, Isa, ProjectOptions, SplatGrads};
+use segwild_raster::{Channels, CpuEngine, FrameGrad, Isa, ProjectOptions, Rasterizer, SplatGrads};
 use segwild_scene::{Camera, Image, Pose, Splats};
 
 fn bits(values: &[f32]) -> Vec<u32> {

@@ -2,7 +2,7 @@
 
 use crate::common::{RasterTestRandom, error, splats, view};
 use segwild_raster::reference::{Parameters, Reference, shade};
-use segwild_raster::{Channels, CpuEngine, Engine, FrameGrad, ProjectOptions};
+use segwild_raster::{Channels, CpuEngine, FrameGrad, ProjectOptions, Rasterizer};
 use segwild_scene::{Camera, Image, Pose, Splats};
 
 fn flat<const N: usize>(rows: &[[f32; N]]) -> Vec<f32> {

@@ -5,7 +5,7 @@ use super::{NONE, SceneTree};
 use crate::coverage::unoccluded;
 use crate::{NeighbourGraph, PosedView, SegmentError};
 use rayon::prelude::*;
-use segwild_raster::{Channels, CpuEngine, Engine, FrontLayer, NO_SPLAT, ProjectOptions};
+use segwild_raster::{Channels, CpuEngine, FrontLayer, NO_SPLAT, ProjectOptions, Rasterizer};
 use segwild_scene::{Image, Splats};
 use segwild_vision::ContourTree;
 use segwild_vision::linkage::MergeTree;

@@ -2,7 +2,7 @@
 
 use crate::common::{TestRandom, TestWorld, engine, features, options, posed, request};
 use glam::Vec3;
-use segwild_raster::Engine;
+use segwild_objective::Engine;
 use segwild_scene::{Image, Mask, PointPrompt, Splats};
 use segwild_segmenter::{
     AnswerStep, AnswerSteps, MaskReader, PosedView, PromptedView, Refiner, Request, SegmentError,

@@ -2,7 +2,7 @@
 
 use crate::common::{TestRandom, TestWorld, engine, options, posed};
 use glam::Vec3;
-use segwild_raster::{Engine, NO_SPLAT};
+use segwild_raster::{NO_SPLAT, Rasterizer};
 use segwild_scene::Image;
 use segwild_segmenter::scene_tree::{NONE, SceneTree, TreeBuilder, TreeQuery};
 use segwild_segmenter::{PosedView, hit};

@@ -2,7 +2,8 @@
 
 use crate::common::{TestRandom, TestWorld, engine, features, options, posed, request, walls};
 use glam::{Vec2, Vec3};
-use segwild_raster::Engine;
+use segwild_objective::Engine;
+use segwild_raster::Rasterizer;
 use segwild_scene::{Mask, PointPrompt, Splats};
 use segwild_segmenter::coverage::{coverage, unoccluded};
 use segwild_segmenter::{

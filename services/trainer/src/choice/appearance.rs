@@ -5,7 +5,7 @@ use super::tracks::{Tracks, tracks};
 use super::{ShortFit, Trials};
 use crate::settings::one_light_steps;
 use crate::{AppearanceModel, Photos, TrainError, TrainSettings};
-use segwild_raster::Engine;
+use segwild_objective::Engine;
 use segwild_scene::Scene;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;

@@ -11,7 +11,7 @@
 
 use super::{ShortFit, Trials};
 use crate::{Photos, TrainError, TrainSettings};
-use segwild_raster::Engine;
+use segwild_objective::Engine;
 use segwild_scene::{Scene, View};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;

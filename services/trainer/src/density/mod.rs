@@ -152,7 +152,7 @@ impl DensityStats {
         }
     }
 
-    /// Per splat the sums in the order of [`segwild_raster::Held::sums`].
+    /// Per splat the sums in the order of [`segwild_objective::Held::sums`].
     pub fn rows(&self) -> Vec<[f32; 4]> {
         let sums = self.gradient.iter().zip(&self.error).zip(&self.seen).zip(&self.radius);
         sums.map(|(((&g, &e), &s), &r)| [g, e, s, r]).collect()
@@ -211,7 +211,7 @@ pub(crate) fn top(scores: &[f32], count: usize) -> Vec<usize> {
 mod tests {
     use super::*;
     use crate::params::Params;
-    use segwild_raster::{Channels, CpuEngine, Engine, ProjectOptions};
+    use segwild_raster::{Channels, CpuEngine, ProjectOptions, Rasterizer};
     use segwild_scene::{Camera, Image, Pose};
 
     /// Large and small splats of many opacities.

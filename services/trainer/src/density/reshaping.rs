@@ -1,7 +1,7 @@
 //! Splats while density control acts on them: their shapes, and which splats they come from. Colours, embeddings and optimiser
 //! states follow from that, on the host or on the device.
 
-use segwild_raster::Reshaped;
+use segwild_objective::Reshaped;
 use segwild_scene::Splats;
 
 /// Shapes of splats, and which splats they come from.

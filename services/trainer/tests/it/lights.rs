@@ -1,9 +1,10 @@
 //! Appearance as a tool: a trained scene in any photo's light, between lights, in two at once, and baked into splats.
 
 use glam::Vec3;
-use segwild_raster::{
-    AffineAppearance, AnyAppearance, CpuEngine, EmbedAppearance, GswAppearance, GswWidth, NoAppearance,
+use segwild_objective::{
+    AffineAppearance, AnyAppearance, EmbedAppearance, GswAppearance, GswWidth, NoAppearance,
 };
+use segwild_raster::CpuEngine;
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use segwild_trainer::{Background, Model, SceneLighting, Stats, render_lit, render_view};
 

@@ -156,7 +156,7 @@ fn the_sky_stays_empty_of_splats_and_is_in_the_background() {
         inner.pixels().map(|(x, y)| alpha.at(0, x as usize, y as usize)).sum::<f32>() / inner.count() as f32;
     assert!(mean < 0.05, "the sky is {mean} opaque");
     let render = render_view(&model, &*engine, &view.camera, &view.pose, Some(2)).unwrap();
-    assert!(segwild_raster::psnr(&render, &photo, None) > 24.0);
+    assert!(segwild_objective::psnr(&render, &photo, None) > 24.0);
 }
 
 #[test]
@@ -233,7 +233,7 @@ fn appearances_are_learnt_and_the_left_half_gives_that_of_the_right() {
     }
     let own = |model: &Model| {
         let render = render_view(model, &*engine(), &view.camera, &view.pose, Some(2)).unwrap();
-        segwild_raster::psnr(&render, &photo, None)
+        segwild_objective::psnr(&render, &photo, None)
     };
     let (with, without) = (own(&affine), own(&of(AppearanceModel::None)));
     assert!(with > 24.0 && with > without + 1.0, "its own appearance {with} dB, one for all {without} dB");

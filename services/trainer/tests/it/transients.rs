@@ -1,7 +1,7 @@
 //! Transients before the wall.
 
 use crate::wall::*;
-use segwild_raster::AnyAppearance;
+use segwild_objective::AnyAppearance;
 use segwild_scene::{Image, Mask, Scene};
 use segwild_trainer::{
     AppearanceModel, Photos, TrainError, TrainPhoto, TrainSettings, Trainer, choose_appearance, render_view,
@@ -40,7 +40,7 @@ fn psnr_at_transients(trainer: Trainer, scene: &Scene, transient: impl Fn(usize,
             data: (0..W * H).map(|p| f32::from(u8::from(transient(i, p % W, p / W)))).collect(),
             ..Image::zeros(W as usize, H as usize, 1)
         };
-        segwild_raster::psnr(&render, &clean, Some(&mask))
+        segwild_objective::psnr(&render, &clean, Some(&mask))
     };
     trained.iter().map(of).sum::<f32>() / trained.len() as f32
 }

@@ -1,7 +1,8 @@
 //! Tiny scenes whose truth is known: a coloured wall with a bump, rendered by the engine itself.
 
 use glam::{DVec3, Vec3};
-use segwild_raster::{Channels, CpuEngine, Engine, ProjectOptions};
+use segwild_objective::Engine;
+use segwild_raster::{Channels, CpuEngine, ProjectOptions, Rasterizer};
 use segwild_scene::{Camera, Image, Mask, Photo, Point, Pose, Scene, SceneFrame, Seal, Splats, View};
 use segwild_trainer::{AppearanceModel, Checkpoint, Model, Photos, TrainPhoto, TrainSettings, Trainer};
 use std::sync::Arc;

@@ -1,7 +1,8 @@
 //! Small scenes of known objects.
 
 use glam::{Quat, Vec3};
-use segwild_raster::{CpuEngine, Engine, ProjectOptions};
+use segwild_objective::Engine;
+use segwild_raster::{CpuEngine, ProjectOptions};
 use segwild_scene::{Camera, Pose, Splats};
 use segwild_segmenter::{PosedView, PromptedView, Request, SegmentSettings, SplatFeatures};
 
@@ -138,7 +139,8 @@ pub fn request<'a>(
     settings: &'a SegmentSettings,
 ) -> Request<'a> {
     Request {
-        engine,
+        rasterizer: engine,
+        backend: engine,
         options: options(),
         splats,
         views,

@@ -1,14 +1,15 @@
 //! Lifting: sums per splat over views (method, section 4).
 
-use crate::{Engine, RasterError};
+use crate::FieldBackend;
 use rayon::prelude::*;
-use std::any::Any;
+use segwild_raster::{Projected, RasterError};
+use segwild_scene::Image;
 
 /// Splats per task. Fixed, so that results do not depend on the number of threads.
 const CHUNK: usize = 4096;
 
-/// Sums over views of [`Projected::gather`](crate::Projected::gather): a row of numbers per splat, and its weight.
-/// [`Projected::lift`](crate::Projected::lift) adds a view, on the host or on the device.
+/// Sums over views of [`Projected::gather`]: a row of numbers per splat, and its weight. [`Lifting::add`] adds a view,
+/// on the host or on the device.
 pub struct Lifting {
     row: usize,
     sums: Vec<f32>,
@@ -18,11 +19,14 @@ pub struct Lifting {
 
 /// Sums on a device.
 pub trait DeviceLifting: Send + Sync {
+    /// Adds [`Projected::gather`] of an image to the sums; its last plane is the weight that its pixels have.
+    ///
+    /// # Panics
+    /// If the view is of another device, or of another number of splats.
+    fn add(&self, view: &dyn Projected, image: &Image) -> Result<(), RasterError>;
+
     /// The sums, `[splat][number]`, and the weights.
     fn fetch(&self) -> Result<(Vec<f32>, Vec<f32>), RasterError>;
-
-    /// For the engine to know its own.
-    fn as_any(&self) -> &dyn Any;
 }
 
 impl Lifting {
@@ -32,7 +36,7 @@ impl Lifting {
     }
 
     /// Moves them to the device of an engine, if it has the memory.
-    pub fn settle(&mut self, engine: &dyn Engine) -> Result<(), RasterError> {
+    pub fn settle(&mut self, engine: &dyn FieldBackend) -> Result<(), RasterError> {
         self.on_device = engine.settle_lifting(self.weights.len(), self.row)?;
         Ok(())
     }
@@ -42,19 +46,22 @@ impl Lifting {
         self.row
     }
 
-    /// The sums on the device.
-    pub fn on_device(&self) -> Option<&dyn DeviceLifting> {
-        self.on_device.as_deref()
-    }
-
-    /// Adds the sums of a view, `[splat][row + 1]`, the weight last. A splat with a number that is not finite, or
-    /// without weight, keeps its sums: a splat that a kernel could not handle in one view must not poison the other
-    /// views.
+    /// Adds [`Projected::gather`] of an image; its last plane is the weight that its pixels have. A splat with a number
+    /// that is not finite, or without weight, keeps its sums: a splat that a kernel could not handle in one view must
+    /// not poison the other views.
     ///
     /// # Panics
-    /// If the sums are on a device, or of another number of splats.
-    pub fn add(&mut self, output: &[f32]) {
-        assert!(self.on_device.is_none(), "the sums are on a device");
+    /// If the sums are on the device of another engine than the view, or of another number of splats.
+    pub fn add(&mut self, view: &dyn Projected, image: &Image) -> Result<(), RasterError> {
+        match &self.on_device {
+            Some(on_device) => on_device.add(view, image)?,
+            None => self.add_rows(&view.gather(image)?),
+        }
+        Ok(())
+    }
+
+    /// Adds the sums of a view, `[splat][row + 1]`, the weight last.
+    fn add_rows(&mut self, output: &[f32]) {
         let c = self.row;
         assert_eq!(output.len(), self.weights.len() * (c + 1), "splats");
         self.sums

@@ -1,8 +1,9 @@
 //! Splats that stay on the device of an engine while they are trained.
 
+use crate::Rule;
 use crate::appearance::{EmbedLight, HeldNetworks, UNetInput};
 use crate::compare::{LossInputs, LossOutput, PhotoTarget};
-use crate::{ProjectOptions, RasterError, Rule};
+use segwild_raster::{ProjectOptions, RasterError};
 use segwild_scene::Splats;
 
 /// Splats with the state of their optimiser and of density control: uploaded to a device, and downloaded from it.

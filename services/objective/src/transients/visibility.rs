@@ -4,7 +4,7 @@
 //! units follow the photo's median and the largest share that may be left out, so that neither a map that hides all
 //! minimises the loss, nor one that hides nothing where residuals stand out.
 
-use super::PhotoTarget;
+use crate::compare::PhotoTarget;
 use segwild_scene::Image;
 
 /// A photo's visibility map, of one plane: the probability that a part of the photo shows the scene, in [0, 1].
@@ -28,7 +28,7 @@ pub const LEAST: f32 = 0.3;
 pub const WRONG: f32 = 4.0;
 
 /// Per part of the photo that a pixel of the map covers, the mean of `ratio` over its pixels that count.
-pub(super) fn blame(map: &Image, ratio: &[f32], photo: &PhotoTarget) -> Vec<Option<f32>> {
+pub(crate) fn blame(map: &Image, ratio: &[f32], photo: &PhotoTarget) -> Vec<Option<f32>> {
     let mut sums = vec![(0.0f32, 0u32); map.pixels()];
     for (i, ratio) in ratio.iter().enumerate().filter(|(i, _)| photo.is(*i, PhotoTarget::COUNTS)) {
         let (x, y) = (i % photo.width * map.width / photo.width, i / photo.width * map.height / photo.height);
@@ -40,7 +40,7 @@ pub(super) fn blame(map: &Image, ratio: &[f32], photo: &PhotoTarget) -> Vec<Opti
 
 /// Weight of each pixel by the map; `None` where the map is implausible against the robust mask: it leaves out much
 /// more than `share`, or next to nothing where the mask leaves out something.
-pub(super) fn weights(
+pub(crate) fn weights(
     map: &Image,
     photo: &PhotoTarget,
     kept: Option<&[f32]>,

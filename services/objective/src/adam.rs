@@ -1,7 +1,7 @@
 //! Adam over flat slices (method, section 2).
 
-use crate::cpu::simd::{self, Isa, LANES, Simd, SimdKernel};
 use rayon::prelude::*;
+use segwild_raster::simd::{self, Isa, LANES, Simd, SimdKernel};
 use wincode::{SchemaRead, SchemaWrite};
 
 /// Numbers that one task updates.

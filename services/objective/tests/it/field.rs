@@ -1,6 +1,6 @@
 //! The compactness loss against an f64 reference, central differences and the toy image of the method.
 
-use segwild_raster::field::{Membership, RowAdam, compactness};
+use segwild_objective::field::{Membership, RowAdam, compactness};
 use segwild_scene::{Mask, MaskSet, Random, ScoredMask};
 
 /// Numbers in [-1, 1).

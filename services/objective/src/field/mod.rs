@@ -18,7 +18,8 @@ pub use membership::Membership;
 pub use rows::{BETA1, BETA2, EPSILON, RowAdam};
 pub use similarity::{Queries, dot, score};
 
-use crate::{Channels, Engine, Projected, RasterError};
+use crate::FieldBackend;
+use segwild_raster::{Channels, Projected, RasterError};
 use segwild_scene::Image;
 use std::any::Any;
 
@@ -33,7 +34,7 @@ pub struct FeatureTarget<'a> {
     pub validity: &'a [f32],
     /// From the view's pixels to its cells.
     pub average: &'a AreaAverage,
-    /// Handle that [`Engine::upload_target`] returned for it.
+    /// Handle that [`FieldBackend::upload_target`] returned for it.
     pub on_device: Option<&'a (dyn Any + Send + Sync)>,
 }
 
@@ -67,7 +68,7 @@ pub struct FieldLosses {
 }
 
 /// Features that are refined, one row per splat, and perhaps a decoder beside them.
-/// [`Projected::refine`](crate::Projected::refine) steps them, on the host or on the device.
+/// [`Refining::step`] steps them, on the host or on the device.
 pub struct Refining {
     values: Vec<f32>,
     adam: RowAdam,
@@ -80,14 +81,22 @@ pub struct Refining {
 
 /// Features on a device.
 pub trait DeviceRefinement: Send + Sync {
+    /// One step by the feature target of a view and by the compactness loss of sampled pixels.
+    ///
+    /// # Panics
+    /// If the view is of another device, or sizes differ.
+    fn step(
+        &self,
+        view: &dyn Projected,
+        feature_target: &FeatureTarget,
+        sampled: &SampledPixels,
+    ) -> Result<(), RasterError>;
+
     /// The features, `[splat][channel]`, and the decoder's numbers.
     fn fetch(&self) -> Result<Refined, RasterError>;
 
     /// The losses of the last step.
     fn losses(&self) -> Result<FieldLosses, RasterError>;
-
-    /// For the engine to know its own.
-    fn as_any(&self) -> &dyn Any;
 }
 
 /// Refined features.
@@ -112,7 +121,7 @@ impl Refining {
     }
 
     /// Moves them to the device of an engine, if it has the memory.
-    pub fn settle(&mut self, engine: &dyn Engine) -> Result<(), RasterError> {
+    pub fn settle(&mut self, engine: &dyn FieldBackend) -> Result<(), RasterError> {
         self.on_device = engine.settle_refining(self)?;
         Ok(())
     }
@@ -136,18 +145,24 @@ impl Refining {
         self.rule
     }
 
-    /// The features on the device.
-    pub fn on_device(&self) -> Option<&dyn DeviceRefinement> {
-        self.on_device.as_deref()
+    /// Whether they are on a device.
+    pub fn is_on_device(&self) -> bool {
+        self.on_device.is_some()
     }
 
-    /// One step of the features on the host: the default of [`Projected::refine`].
-    pub fn learn<P: Projected + ?Sized>(
+    /// One step of the features by the feature target of a view and by the compactness loss of sampled pixels.
+    ///
+    /// # Panics
+    /// If the features are on the device of another engine than the view, or sizes differ.
+    pub fn step(
         &mut self,
-        view: &P,
+        view: &dyn Projected,
         feature_target: &FeatureTarget,
         sampled: &SampledPixels,
     ) -> Result<(), RasterError> {
+        if let Some(on_device) = &self.on_device {
+            return on_device.step(view, feature_target, sampled);
+        }
         let frame = view.blend(&self.channels())?;
         let grad = self.compute_losses(&frame.image, feature_target, sampled);
         let grads = view.gather(&grad)?;

@@ -1,9 +1,9 @@
 //! A device that is lost during a run.
 
 use crate::common::{RasterTestRandom, splats, view};
+use segwild_objective::{Engine, FallbackEngine, FieldBackend, TrainingBackend};
 use segwild_raster::{
-    Channels, CpuEngine, Engine, FallbackEngine, Frame, FrameGrad, ProjectOptions, Projected, RasterError,
-    SplatGrads,
+    Channels, CpuEngine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, Rasterizer, SplatGrads,
 };
 use segwild_scene::{Camera, Image, Pose, Splats};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -25,7 +25,7 @@ fn lives(left: &AtomicU32) -> Result<(), RasterError> {
     used.map(drop).map_err(|_| RasterError::Device("the accelerator was lost".into()))
 }
 
-impl Engine for Mortal {
+impl Rasterizer for Mortal {
     fn name(&self) -> &'static str {
         "mortal"
     }
@@ -42,6 +42,10 @@ impl Engine for Mortal {
         Ok(Box::new(MortalView { view, left: &self.left }))
     }
 }
+
+impl TrainingBackend for Mortal {}
+
+impl FieldBackend for Mortal {}
 
 impl Projected for MortalView<'_> {
     fn depths(&self) -> &[f32] {

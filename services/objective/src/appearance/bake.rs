@@ -1,8 +1,8 @@
 //! Bakes an appearance into spherical harmonics: any viewer then renders the splats under that appearance.
 
 use super::{Appearance, AppearanceEmbedding};
-use crate::sh;
 use rayon::prelude::*;
+use segwild_raster::sh;
 use segwild_scene::Splats;
 
 /// Directions in which a splat's colour is evaluated. More than there are coefficients, and evenly spread, so that a

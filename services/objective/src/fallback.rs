@@ -1,7 +1,10 @@
 //! An engine with a fallback engine: a lost device does not end a run.
 
 use crate::field::Queries;
-use crate::{Channels, Engine, Frame, FrameGrad, Kept, ProjectOptions, Projected, RasterError, SplatGrads};
+use crate::{Engine, FieldBackend, TrainingBackend};
+use segwild_raster::{
+    Channels, Frame, FrameGrad, Kept, ProjectOptions, Projected, RasterError, Rasterizer, SplatGrads,
+};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use std::any::Any;
 use std::sync::OnceLock;
@@ -47,7 +50,7 @@ impl<F: Fn(&str) + Send + Sync> FallbackEngine<F> {
     }
 }
 
-impl<F: Fn(&str) + Send + Sync> Engine for FallbackEngine<F> {
+impl<F: Fn(&str) + Send + Sync> Rasterizer for FallbackEngine<F> {
     /// The first engine's, even after a failure: the artefacts of a run keep their names.
     fn name(&self) -> &'static str {
         self.first.name()
@@ -75,7 +78,11 @@ impl<F: Fn(&str) + Send + Sync> Engine for FallbackEngine<F> {
     fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
         self.either(|| self.first.bring(channels), || self.second.bring(channels))
     }
+}
 
+impl<F: Fn(&str) + Send + Sync> TrainingBackend for FallbackEngine<F> {}
+
+impl<F: Fn(&str) + Send + Sync> FieldBackend for FallbackEngine<F> {
     fn similarity(&self, features: &Kept, queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
         self.either(|| self.first.similarity(features, queries), || self.second.similarity(features, queries))
     }

@@ -4,21 +4,11 @@
 //! [`compare`] is stateless: sums for the photo's appearance, for the background and for the histogram of residuals are
 //! returned ([`LossOutput`]). So it may run where the image is, on the host or on a device.
 
-mod background;
-mod robust;
-mod visible;
-
-pub use background::{
-    BASES, BackgroundSums, ColourSums, HOLD, LEAST_SEEN, STRIDE, SkySums, background, basis, direction, paint,
-};
-pub use robust::{
-    BINS, CONTRAST, DECAY, FLOOR, INITIAL_TRANSIENT, Residuals, SURPRISE, contradicted, leave_out, limit,
-    limits, relative, smoothed, window,
-};
-pub use visible::{LEAST, MOST, OCCLUDED, SURE, VisibilityMap, WRONG};
-
 use crate::appearance::{apply_matrix, matrix_backward};
-use crate::{Frame, photometric};
+use crate::background::{BackgroundSums, ColourSums, SkySums, add_background, paint};
+use crate::photometric;
+use crate::transients::{self, Residuals, VisibilityMap, leave_out, relative};
+use segwild_raster::Frame;
 use segwild_scene::{Camera, Image, Pose, box_mean};
 
 /// Half width of the window over which errors are averaged for density control.
@@ -173,8 +163,8 @@ pub fn compare(
             residuals = held;
             let seen = seeing.and_then(|&VisibilityMap { map, decides }| {
                 let ratio = relative(&uncertain, target.width, counts, before.share);
-                blame = visible::blame(map, &ratio, target);
-                decides.then(|| visible::weights(map, target, kept.as_deref(), before.share))?
+                blame = transients::blame(map, &ratio, target);
+                decides.then(|| transients::weights(map, target, kept.as_deref(), before.share))?
             });
             seen.or(kept)
         }
@@ -242,16 +232,6 @@ pub fn mean_difference(a: &Image, b: &Image) -> Vec<f32> {
         }
     }
     out
-}
-
-/// Adds `(1 - alpha) * background`.
-pub fn add_background(image: &mut Image, alpha: &Image, background: &Image) {
-    for c in 0..3 {
-        let plane = image.plane_mut(c);
-        for ((v, a), b) in plane.iter_mut().zip(&alpha.data).zip(background.plane(c)) {
-            *v += (1.0 - a) * b;
-        }
-    }
 }
 
 /// Weight per pixel (1 counts, 0 does not), and the share of the counted pixels that `kept` leaves out.
@@ -331,6 +311,7 @@ fn error_around(residual: &[f32], weights: &Image) -> Image {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::background::BASES;
     use glam::Vec3;
     use segwild_scene::Random;
 

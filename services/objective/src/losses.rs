@@ -8,8 +8,8 @@
 //! columns, SSIM and its derivatives, blur those along rows; blur them along columns and gather the gradient. The
 //! two variances only enter as their sum, so four maps go forward and three come back.
 
-use crate::cpu::simd::{self, Isa, LANES, Simd, SimdKernel};
 use rayon::prelude::*;
+use segwild_raster::simd::{self, Isa, LANES, Simd, SimdKernel};
 use segwild_scene::Image;
 use std::cell::RefCell;
 

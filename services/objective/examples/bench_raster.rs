@@ -1,11 +1,12 @@
-//! Times the CPU engine: `cargo run -p segwild-raster --example bench_raster [-- quick|splats|pixels|channels]`.
+//! Times the CPU engine: `cargo run -p segwild-objective --example bench_raster [-- quick|splats|pixels|channels]`.
 //!
 //! Prints milliseconds of wall clock (best of several) and of CPU per forward, backward and gather pass
 //! against the number of splats, the pixels and the channels, with the slope of the log-log fit of CPU time:
 //! 1 is linear. `one forward` (or another pass) repeats one pass for a profiler.
 
 use glam::Vec3;
-use segwild_raster::{Adam, Channels, CpuEngine, Engine, FrameGrad, ProjectOptions, photometric};
+use segwild_objective::{Adam, photometric};
+use segwild_raster::{Channels, CpuEngine, FrameGrad, ProjectOptions, Rasterizer};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use std::time::Instant;
 

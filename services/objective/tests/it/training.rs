@@ -1,7 +1,7 @@
 //! Optimiser and appearance models.
 
 use crate::common::RasterTestRandom;
-use segwild_raster::{
+use segwild_objective::{
     Adam, AffineAppearance, AnyAppearance, Appearance, EmbedAppearance, GswAppearance, GswWidth,
     NoAppearance, RANK, VisibleSplats, bake,
 };

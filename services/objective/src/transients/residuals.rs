@@ -2,6 +2,7 @@
 //! the role of a visibility map for affine appearance models; after RobustNeRF and SpotLessSplats).
 
 use segwild_scene::box_mean;
+use wincode::{SchemaRead, SchemaWrite};
 
 /// State of a photo's residuals.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -10,6 +11,44 @@ pub struct Residuals<'a> {
     pub before: &'a [f32],
     /// Largest share of a photo left out.
     pub share: f32,
+}
+
+/// Residual histograms per photo.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub struct ResidualHistograms {
+    /// Per photo, the largest share left out; 0 where it shows no transients.
+    shares: Vec<f32>,
+    /// Per photo, the share that contradicts trainings made without it; `None` where that was not searched for.
+    evidence: Vec<Option<f32>>,
+    /// Per photo, decaying counts of residuals; empty until the photo was seen.
+    histograms: Vec<Vec<f32>>,
+}
+
+impl ResidualHistograms {
+    /// Of photos with these largest shares, and with this evidence of transients.
+    pub fn new(shares: Vec<f32>, evidence: Vec<Option<f32>>) -> ResidualHistograms {
+        ResidualHistograms { histograms: vec![Vec::new(); shares.len()], shares, evidence }
+    }
+
+    /// Per photo, the share that contradicts trainings made without it.
+    pub fn evidence(&self) -> &[Option<f32>] {
+        &self.evidence
+    }
+
+    /// Per photo, the largest share that may be left out.
+    pub fn shares(&self) -> &[f32] {
+        &self.shares
+    }
+
+    /// What is known of a photo's residuals.
+    pub fn known(&self, photo: usize) -> Residuals<'_> {
+        Residuals { before: &self.histograms[photo], share: self.shares[photo] }
+    }
+
+    /// Stores the histogram after a visit of the photo.
+    pub fn update(&mut self, photo: usize, residuals: Vec<f32>) {
+        self.histograms[photo] = residuals;
+    }
 }
 
 /// Bins over residuals in [0, 1).

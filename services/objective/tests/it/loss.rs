@@ -1,7 +1,7 @@
 //! Loss and metrics against the definition in f64, and gradients against finite differences of it.
 
 use crate::common::RasterTestRandom;
-use segwild_raster::{photometric, psnr, ssim};
+use segwild_objective::{photometric, psnr, ssim};
 use segwild_scene::Image;
 
 /// The loss from its definition: a full 2D window, zero beyond the frame.
