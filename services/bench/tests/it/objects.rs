@@ -98,8 +98,11 @@ fn compactness_separates_things_that_resemble_each_other() {
 fn units_change_no_selection() {
     let masks = |units: f64| -> Vec<Mask> {
         let dir = tempfile::tempdir().unwrap();
-        let trial = trained(dir.path(), &SyntheticOptions { units, ..options() });
-        let settings = settings();
+        let scene = SyntheticOptions { units, train: 12, long_side: 128, ..options() };
+        let trial = seen_by(dir.path(), &scene, &OracleOptions::default());
+        let mut settings = settings();
+        settings.train.steps = 200;
+        trial.train(&settings).unwrap();
         let session = trial.session(&settings).unwrap();
         let object = trial.manifest().objects.iter().find(|o| o.kind == ObjectKind::Object).unwrap();
         let prompts = trial.prompts(object).unwrap();

@@ -1,5 +1,9 @@
 //! A small scene that is trained once for all tests of the program, whether they run in one process or in many.
 
+#[path = "../../../../tests/support/made_once.rs"]
+mod made_once;
+
+use made_once::made_once;
 use segwild_bench::oracle::OracleOptions;
 use segwild_bench::synthetic::{ObjectKind, SyntheticOptions};
 use segwild_bench::trial::{ProviderKind, Trial};
@@ -14,59 +18,46 @@ use std::time::{Duration, Instant};
 /// How long an answer may take before a test fails.
 const LONGEST: Duration = Duration::from_secs(120);
 
+/// The file with the clicks, beside the run.
+const CLICKS: &str = "clicks.json";
+
 /// A trained run, and a click on each of its objects: the photo's name and the pixel.
 pub struct Trained {
     folder: PathBuf,
     pub clicks: Vec<(String, [f32; 2])>,
 }
 
-/// The folder of what this build of the tests trains. What earlier builds left is removed.
-fn folder_of_build() -> PathBuf {
-    let own = std::fs::metadata(std::env::current_exe().unwrap()).unwrap();
-    let age = own.modified().unwrap().duration_since(std::time::UNIX_EPOCH).unwrap();
-    let all = Path::new(env!("CARGO_TARGET_TMPDIR")).join("studio");
-    let folder = all.join(format!("{}-{}", age.as_nanos(), own.len()));
-    std::fs::create_dir_all(&folder).unwrap();
-    for other in std::fs::read_dir(&all).unwrap().flatten().map(|entry| entry.path()).filter(|p| *p != folder)
-    {
-        let _ = std::fs::remove_dir_all(other);
-    }
-    folder
-}
-
 /// The trained run.
 pub fn trained() -> &'static Trained {
     static TRAINED: OnceLock<Trained> = OnceLock::new();
     TRAINED.get_or_init(|| {
-        let dir = folder_of_build();
-        let lock = std::fs::File::create(dir.join("lock")).unwrap();
-        lock.lock().unwrap();
-        let (known, folder) = (dir.join("clicks.json"), dir.join("run"));
-        if let Ok(text) = std::fs::read(&known) {
-            return Trained { folder, clicks: serde_json::from_slice(&text).unwrap() };
-        }
-        let scene = SyntheticOptions {
-            seed: 5,
-            train: 12,
-            test: 2,
-            long_side: 128,
-            points: 1000,
-            occlusion: 0.0,
-            ..SyntheticOptions::default()
-        };
-        let trial = Trial::new(&dir, &scene, ProviderKind::Builtin, &OracleOptions::default()).unwrap();
-        let mut settings = Settings::preset(Preset::Draft);
-        settings.train.steps = 250;
-        settings.masks.prompt_budget = 16;
-        trial.train(&settings).unwrap();
-        let objects = trial.manifest().objects.iter().filter(|o| o.kind == ObjectKind::Object);
-        let of_object = |c: &segwild_bench::synthetic::Click| (c.photo.clone(), [c.x, c.y]);
-        let clicks: Vec<(String, [f32; 2])> =
-            objects.filter_map(|o| o.clicks.first()).map(of_object).collect();
-        assert_eq!(trial.folder().path(), folder);
-        std::fs::write(known, serde_json::to_string(&clicks).unwrap()).unwrap();
-        Trained { folder, clicks }
+        let made = made_once("studio", &[], train);
+        let clicks = std::fs::read(made.join(CLICKS)).unwrap();
+        Trained { folder: made.join("run"), clicks: serde_json::from_slice(&clicks).unwrap() }
     })
+}
+
+/// Trains it in a folder, with a click per object beside it.
+fn train(dir: &Path) {
+    let scene = SyntheticOptions {
+        seed: 5,
+        train: 12,
+        test: 2,
+        long_side: 128,
+        points: 1000,
+        occlusion: 0.0,
+        ..SyntheticOptions::default()
+    };
+    let trial = Trial::new(dir, &scene, ProviderKind::Builtin, &OracleOptions::default()).unwrap();
+    let mut settings = Settings::preset(Preset::Draft);
+    settings.train.steps = 250;
+    settings.masks.prompt_budget = 16;
+    trial.train(&settings).unwrap();
+    let objects = trial.manifest().objects.iter().filter(|o| o.kind == ObjectKind::Object);
+    let of_object = |c: &segwild_bench::synthetic::Click| (c.photo.clone(), [c.x, c.y]);
+    let clicks: Vec<(String, [f32; 2])> = objects.filter_map(|o| o.clicks.first()).map(of_object).collect();
+    assert_eq!(trial.folder().path(), dir.join("run"));
+    std::fs::write(dir.join(CLICKS), serde_json::to_string(&clicks).unwrap()).unwrap();
 }
 
 /// A copy of the trained run, to work on.

@@ -1,5 +1,9 @@
-//! What the program's tests share: a small synthetic place, a finished run on it, and the program itself.
+//! What the program's tests share: a small synthetic scene, a finished run on it, and the program itself.
 
+#[path = "../../../../../tests/support/made_once.rs"]
+mod made_once;
+
+use made_once::made_once;
 use segwild_bench::synthetic::{Click, LightVariation, Manifest, SyntheticOptions, generate};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -104,44 +108,37 @@ pub const QUICK: [&str; 12] = [
     "affine",
 ];
 
-struct Photographed {
-    dir: tempfile::TempDir,
-    scene: PathBuf,
-    manifest: Manifest,
-}
-
-fn photographed() -> &'static Photographed {
-    static SCENE: OnceLock<Photographed> = OnceLock::new();
-    SCENE.get_or_init(|| {
-        let dir = tempfile::tempdir().expect("a temporary folder");
-        let scene = dir.path().join("place");
-        let options = SyntheticOptions {
-            train: 8,
-            test: 2,
-            long_side: 96,
-            points: 600,
-            occlusion: 0.0,
-            photo_light: LightVariation::Affine,
-            ..SyntheticOptions::small()
-        };
-        let manifest = generate(&options).and_then(|s| s.write(&scene)).expect("a synthetic place");
-        Photographed { dir, scene, manifest }
-    })
-}
-
-/// A small scene, made once, for who runs it in another way than [`place`].
+/// A small scene, made once, for who runs it in another way than [`shared_run`].
 pub fn scene() -> &'static Path {
-    &photographed().scene
+    static SCENE: OnceLock<PathBuf> = OnceLock::new();
+    SCENE.get_or_init(|| {
+        let made = made_once("scene", &[], |folder| {
+            let options = SyntheticOptions {
+                train: 8,
+                test: 2,
+                long_side: 96,
+                points: 600,
+                occlusion: 0.0,
+                photo_light: LightVariation::Affine,
+                ..SyntheticOptions::small()
+            };
+            generate(&options).and_then(|s| s.write(&folder.join("place"))).expect("a synthetic scene");
+        });
+        made.join("place")
+    })
 }
 
 /// The small scene and a finished run on it, made once.
 pub fn shared_run() -> &'static SharedRun {
     static SHARED_RUN: OnceLock<SharedRun> = OnceLock::new();
     SHARED_RUN.get_or_init(|| {
-        let Photographed { dir, scene, manifest } = photographed();
-        let run = dir.path().join("run");
-        works(&[&["run", &show(scene), "--out", &show(&run)][..], &QUICK].concat());
-        SharedRun { scene: scene.clone(), run, manifest: manifest.clone() }
+        let scene = scene().to_owned();
+        let made = made_once("run", &[Path::new(env!("CARGO_BIN_EXE_segwild"))], |folder| {
+            works(&[&["run", &show(&scene), "--out", &show(&folder.join("run"))][..], &QUICK].concat());
+        });
+        let manifest = std::fs::read(scene.join("truth.json")).expect("the scene has a manifest");
+        let manifest = serde_json::from_slice(&manifest).expect("it is JSON");
+        SharedRun { scene, run: made.join("run"), manifest }
     })
 }
 
