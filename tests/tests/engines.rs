@@ -1,11 +1,11 @@
 //! The same scene trained and selected whole by either engine, and a training that moves from one to the other.
 
-use segwild_bench::oracle::OracleOptions;
 use segwild_bench::point::{PhotoSource, PointJob, Prompting, measure};
 use segwild_bench::stability::Harm;
-use segwild_bench::synthetic::{LightVariation, SyntheticOptions, generate};
-use segwild_bench::trial::ProviderKind;
+use segwild_eval::oracle::OracleOptions;
+use segwild_eval::trial::ProviderKind;
 use segwild_pipeline::{RunFolder, RunOptions, Settings, Until, run};
+use segwild_synthetic::{LightVariation, SyntheticOptions, generate};
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 

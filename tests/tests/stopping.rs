@@ -1,9 +1,9 @@
 //! Stops at moments that are hard to hit by a clock.
 
-use segwild_bench::synthetic::{SyntheticOptions, generate};
 use segwild_flow::Stopper;
 use segwild_pipeline::{RunError, RunFolder, RunOptions, Settings, run};
 use segwild_scene::{Image, Mask};
+use segwild_synthetic::{SyntheticOptions, generate};
 use segwild_vision::{Providers, SkyDetector, VisionError};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -2,8 +2,8 @@
 
 use crate::plot::PlotError;
 use crate::point::PointError;
-use crate::protocols::ProtocolError;
-use crate::record::RecordError;
+use segwild_eval::protocols::ProtocolError;
+use segwild_eval::record::RecordError;
 use segwild_pipeline::SettingsError;
 use segwild_raster::RasterError;
 use std::path::{Path, PathBuf};

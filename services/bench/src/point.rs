@@ -4,15 +4,13 @@
 //! and nothing is shared between two of them.
 
 use crate::flow::{Calls, counted};
-use crate::oracle::OracleOptions;
-use crate::protocols::clicks;
-use crate::protocols::folder::Parts;
-use crate::protocols::scene::stem;
-use crate::record::Record;
 use crate::stability::Harm;
-use crate::synthetic::random::Rng;
-use crate::synthetic::{ObjectKind, ObjectTruth, SyntheticOptions, SyntheticPhoto, generate};
-use crate::trial::{ProviderKind, Trial, TrialError};
+use segwild_eval::oracle::OracleOptions;
+use segwild_eval::protocols::clicks;
+use segwild_eval::protocols::folder::Parts;
+use segwild_eval::protocols::scene::stem;
+use segwild_eval::record::Record;
+use segwild_eval::trial::{ProviderKind, Trial, TrialError};
 use segwild_flow::{Event, Events, Stopper, cpu};
 use segwild_pipeline::{
     Loaded, PhotoPrompts, RunError, RunFolder, RunOptions, Settings, SettingsError, Summary, Until, run,
@@ -20,6 +18,8 @@ use segwild_pipeline::{
 };
 use segwild_raster::{CpuEngine, Rasterizer};
 use segwild_scene::{BoxPrompt, Mask, MaskFiles, PointPrompt, Prompts, Scene, SceneError};
+use segwild_synthetic::random::Rng;
+use segwild_synthetic::{ObjectKind, ObjectTruth, SyntheticOptions, SyntheticPhoto, generate};
 use segwild_vision::Providers;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

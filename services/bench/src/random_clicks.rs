@@ -1,12 +1,12 @@
 //! What single clicks find: random clicks anywhere on the objects of scenes with true masks (method, section 13).
 
-use crate::metrics::Spread;
 use crate::page::{PageError, io};
 use crate::point::{PointError, name_of};
-use crate::protocols::folder::objects;
-use crate::record::{Provenance, Record, Results};
-use crate::stamp;
-use crate::trial::TrialError;
+use segwild_eval::metrics::Spread;
+use segwild_eval::protocols::folder::objects;
+use segwild_eval::record::{Provenance, Record, Results};
+use segwild_eval::stamp;
+use segwild_eval::trial::TrialError;
 use segwild_flow::{Stopper, files};
 use segwild_pipeline::{
     AnswerStep, PhotoPrompts, RunError, RunFolder, RunOptions, Session, SessionOptions, Settings, Until, run,

@@ -1,12 +1,12 @@
 //! How well scenes are reconstructed: every photo held out is scored whole, and shown beside its render (method, section 10).
 
-use crate::metrics::psnr;
 use crate::page::{PageError, io};
 use crate::point::{PointError, means, name_of};
-use crate::protocols::folder::objects;
-use crate::record::{Provenance, Record, Results};
-use crate::stamp;
-use crate::trial::TrialError;
+use segwild_eval::metrics::psnr;
+use segwild_eval::protocols::folder::objects;
+use segwild_eval::record::{Provenance, Record, Results};
+use segwild_eval::stamp;
+use segwild_eval::trial::TrialError;
 use segwild_flow::{cpu, files};
 use segwild_pipeline::{
     HeldOut, Loaded, RunFolder, RunOptions, Settings, Summary, Until, held_out_render, run,

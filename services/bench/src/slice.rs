@@ -1,12 +1,12 @@
 //! A small slice of the benchmark, for every change: quality and counted work on fixed seeds, in seconds. Compared with
-//! what is kept beside the code ([`crate::compare`], strictly), it fails when either gets worse.
+//! what is kept beside the code ([`segwild_eval::compare`], strictly), it fails when either gets worse.
 
-use crate::oracle::OracleOptions;
 use crate::point::{PhotoSource, PointError, PointJob, Prompting, measure};
-use crate::record::{Provenance, Results};
 use crate::stability::Harm;
-use crate::synthetic::SyntheticOptions;
-use crate::trial::ProviderKind;
+use segwild_eval::oracle::OracleOptions;
+use segwild_eval::record::{Provenance, Results};
+use segwild_eval::trial::ProviderKind;
+use segwild_synthetic::SyntheticOptions;
 use std::path::Path;
 
 /// What is guarded. Time and memory are not: they depend on who else uses the machine.

@@ -2,10 +2,9 @@
 
 use crate::exit;
 use segwild_bench::flow::FlowError;
-use segwild_bench::protocols::ProtocolError;
-use segwild_bench::record::RecordError;
-use segwild_bench::synthetic::SyntheticError;
-use segwild_bench::trial::TrialError;
+use segwild_eval::protocols::ProtocolError;
+use segwild_eval::record::RecordError;
+use segwild_eval::trial::TrialError;
 use segwild_farm::BatchError;
 use segwild_flow::files::name::shown;
 use segwild_flow::{LedgerError, shortage};
@@ -13,6 +12,7 @@ use segwild_monitor::{ServeError, ViewError};
 use segwild_pipeline::{RunError, SettingsError};
 use segwild_scene::SceneError;
 use segwild_segmenter::SegmentError;
+use segwild_synthetic::SyntheticError;
 
 /// Why the program ends early.
 #[derive(Debug)]

@@ -1,7 +1,7 @@
 //! How well the built-in provider answers prompts about photos whose truth is known: a synthetic set, or a folder with
 //! `images` and `truth/STEM.png` (one object), as `liberty`.
 //!
-//! `cargo run -p segwild-bench --example make_synthetic -- DIR --seed N` writes a set; then
+//! `cargo run -p segwild-synthetic --example make_synthetic -- DIR --seed N` writes a set; then
 //! `cargo run -p segwild-vision --example eval_prompts -- DIR [--every 2] [--skip 1] [--long 320] [--models DIR]
 //! [--object NAME] [--photo TEXT] [--each] [--out DIR]`. A folder of photos without truth is asked for proposals only.
 

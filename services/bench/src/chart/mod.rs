@@ -11,13 +11,13 @@ pub use page::{ChartPage, write};
 pub use points::DefaultVerdict;
 pub use sweeps::{SWEEPS, Sweep};
 
-use crate::oracle::OracleOptions;
 use crate::page::{PageError, io};
 use crate::point::{self, PhotoSource, PointError, PointJob, Prompting};
-use crate::record::{Provenance, Record, Results};
 use crate::scale::kernels::pace;
 use crate::stability::Harm;
-use crate::trial::ProviderKind;
+use segwild_eval::oracle::OracleOptions;
+use segwild_eval::record::{Provenance, Record, Results};
+use segwild_eval::trial::ProviderKind;
 use segwild_flow::files;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};

@@ -4,8 +4,8 @@ use super::points::{CHEAPER, COSTS, ChartPoint, DefaultVerdict, MEASURES, cost_w
 use super::{DEFAULT, SWEEPS, Sweep};
 use crate::page::{PageError, io};
 use crate::plot::{Figure, Mark, Panel, PlotSeries, escaped, front};
-use crate::record::Results;
-use crate::stamp::{self, providers};
+use segwild_eval::record::Results;
+use segwild_eval::stamp::{self, providers};
 use segwild_flow::files;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -418,7 +418,7 @@ pub fn write(folder: &Path, results: &Results, about: &str) -> Result<Vec<Defaul
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::Record;
+    use segwild_eval::record::Record;
 
     fn record(setting: &str, at: Option<f64>, seed: u64, target: &str, numbers: &[(&str, f64)]) -> Record {
         let numbers = numbers.iter().map(|(n, v)| ((*n).to_owned(), *v)).collect();

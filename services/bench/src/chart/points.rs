@@ -1,9 +1,9 @@
 //! The points of a chart, and how the default stands among them.
 
 use super::{DEFAULT, PACE, SWEEPS, Sweep};
-use crate::metrics::Spread;
 use crate::point::means;
-use crate::record::{Record, Results};
+use segwild_eval::metrics::Spread;
+use segwild_eval::record::{Record, Results};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 

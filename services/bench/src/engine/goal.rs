@@ -1,14 +1,14 @@
 //! How long a training takes until the photos are shown so well.
 
 use super::PROTOCOL;
-use crate::oracle::OracleOptions;
 use crate::page::PageError;
 use crate::point::PointError;
-use crate::record::Record;
-use crate::synthetic::{LightVariation, SyntheticOptions};
-use crate::trial::{ProviderKind, Trial, TrialError};
+use segwild_eval::oracle::OracleOptions;
+use segwild_eval::record::Record;
+use segwild_eval::trial::{ProviderKind, Trial, TrialError};
 use segwild_flow::{Event, EventRecord, Events, Stopper};
 use segwild_pipeline::{RunError, RunOptions, Settings, Until, run};
+use segwild_synthetic::{LightVariation, SyntheticOptions};
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};

@@ -5,12 +5,11 @@ mod goal;
 pub use goal::Goal;
 
 use crate::page::{PageError, io};
-use crate::record::{Provenance, Record, Results};
 use crate::scale::kernels::filling;
-use crate::stamp::{self, providers};
-use crate::synthetic::random::Rng;
 use glam::Vec3;
 use rayon::prelude::*;
+use segwild_eval::record::{Provenance, Record, Results};
+use segwild_eval::stamp::{self, providers};
 use segwild_flow::files;
 use segwild_gpu::{
     AdapterChoice, CLICKS, FIELD_RULE, GpuEngine, LOSSES, NETWORKS, Reach, SIMILARITY, reach,
@@ -20,6 +19,7 @@ use segwild_objective::field::{Queries, score};
 use segwild_objective::{Appearance, VisibleSplats};
 use segwild_raster::{Channels, CpuEngine, FrameGrad, ProjectOptions, RasterError, Rasterizer};
 use segwild_scene::{Camera, Pose, Random, Splats};
+use segwild_synthetic::random::Rng;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;

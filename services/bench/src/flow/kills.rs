@@ -1,9 +1,9 @@
 //! Killed at any moment, a run ends in the same bytes.
 
 use super::{FlowError, FlowOptions, Row, fresh, io, write_scene};
-use crate::synthetic::Manifest;
 use segwild_flow::Ledger;
 use segwild_flow::ledger::State;
+use segwild_synthetic::Manifest;
 use std::collections::BTreeMap;
 use std::hash::{BuildHasher, RandomState};
 use std::path::{Path, PathBuf};

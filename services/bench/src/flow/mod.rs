@@ -9,11 +9,11 @@ mod waiting;
 
 pub use waiting::{Calls, Waits, counted, waiting};
 
-use crate::record::Provenance;
-use crate::stamp;
-use crate::synthetic::{LightVariation, Manifest, SyntheticError, SyntheticOptions, generate};
+use segwild_eval::record::Provenance;
+use segwild_eval::stamp;
 use segwild_flow::files;
 use segwild_pipeline::{RunError, Settings, SettingsError};
+use segwild_synthetic::{LightVariation, Manifest, SyntheticError, SyntheticOptions, generate};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};

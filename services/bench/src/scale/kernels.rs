@@ -2,12 +2,12 @@
 
 use super::PROTOCOL;
 use crate::page::PageError;
-use crate::record::Record;
-use crate::synthetic::random::Rng;
 use glam::Vec3;
+use segwild_eval::record::Record;
 use segwild_flow::cpu;
 use segwild_raster::{Channels, CpuEngine, FrameGrad, ProjectOptions, Rasterizer};
 use segwild_scene::{Camera, Pose, Splats};
+use segwild_synthetic::random::Rng;
 use std::collections::BTreeMap;
 use std::time::Instant;
 

@@ -6,14 +6,14 @@ mod page;
 
 pub use page::{markdown, write};
 
-use crate::metrics::Spread;
-use crate::oracle::OracleOptions;
 use crate::page::{PageError, io};
 use crate::point::{self, PhotoSource, PointJob, Prompting};
-use crate::record::{Provenance, Record, Results};
 use crate::stability::Harm;
-use crate::synthetic::SyntheticOptions;
-use crate::trial::ProviderKind;
+use segwild_eval::metrics::Spread;
+use segwild_eval::oracle::OracleOptions;
+use segwild_eval::record::{Provenance, Record, Results};
+use segwild_eval::trial::ProviderKind;
+use segwild_synthetic::SyntheticOptions;
 use std::path::PathBuf;
 
 /// The protocol under which everything here is recorded.

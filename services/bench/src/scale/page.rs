@@ -3,8 +3,8 @@
 use super::{AXES, Fit, along, beyond};
 use crate::page::{PageError, io};
 use crate::plot::short;
-use crate::record::Results;
-use crate::stamp::{self, providers};
+use segwild_eval::record::Results;
+use segwild_eval::stamp::{self, providers};
 use segwild_flow::files;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;

@@ -1,14 +1,14 @@
 //! The kernels at the ends of what f32 holds: splats from far under a pixel to far over the screen.
 
 use super::PROTOCOL;
-use crate::record::Record;
-use crate::synthetic::random::Rng;
 use glam::{DQuat, Vec3};
+use segwild_eval::record::Record;
 use segwild_raster::reference::{Parameters, Reference};
 use segwild_raster::{
     Channels, CpuEngine, Frame, FrameGrad, ProjectOptions, RasterError, Rasterizer, SplatGrads,
 };
 use segwild_scene::{Camera, Pose, Splats};
+use segwild_synthetic::random::Rng;
 use std::collections::BTreeMap;
 
 /// Standard deviations in pixels.

@@ -12,13 +12,13 @@ pub use kernels::kernels;
 pub use page::{markdown, write};
 pub use stress::{Harm, STRESSES, Stress};
 
-use crate::oracle::{ORACLE, OracleOptions};
 use crate::page::{PageError, io};
 use crate::point::{PhotoSource, PointJob, Prompting, means, measure};
-use crate::record::{Provenance, Record, Results};
-use crate::stamp::{UNKNOWN, provider};
-use crate::synthetic::SyntheticOptions;
-use crate::trial::ProviderKind;
+use segwild_eval::oracle::{ORACLE, OracleOptions};
+use segwild_eval::record::{Provenance, Record, Results};
+use segwild_eval::stamp::{UNKNOWN, provider};
+use segwild_eval::trial::ProviderKind;
+use segwild_synthetic::SyntheticOptions;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 

@@ -1,13 +1,13 @@
 //! The page: every curve, where it breaks, and what the program reports there.
 
 use super::{BREAKS, Curve, STRESSES, curves};
-use crate::metrics::Spread;
-use crate::oracle::ORACLE;
 use crate::page::{PageError, io};
 use crate::plot::{Figure, Mark, Panel, PlotSeries, short};
 use crate::point::means;
-use crate::record::{Record, Results};
-use crate::stamp::{self, providers};
+use segwild_eval::metrics::Spread;
+use segwild_eval::oracle::ORACLE;
+use segwild_eval::record::{Record, Results};
+use segwild_eval::stamp::{self, providers};
 use segwild_flow::files;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;

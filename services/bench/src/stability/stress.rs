@@ -1,9 +1,9 @@
 //! Stresses: what is done to a scene, to the providers or to the clicks, and how much of it.
 
 use crate::point::{PhotoSource, PointJob, Prompting};
-use crate::synthetic::random::Rng;
-use crate::synthetic::{SyntheticOptions, SyntheticScene};
 use glam::{DMat3, DVec3};
+use segwild_synthetic::random::Rng;
+use segwild_synthetic::{SyntheticOptions, SyntheticScene};
 use serde::{Deserialize, Serialize};
 
 /// One kind of stress and how much of it.
@@ -86,7 +86,7 @@ impl Harm {
     }
 }
 
-fn centre(photo: &crate::synthetic::SyntheticPhoto) -> DVec3 {
+fn centre(photo: &segwild_synthetic::SyntheticPhoto) -> DVec3 {
     -(photo.pose.rotation.as_dmat3().transpose() * photo.translation)
 }
 

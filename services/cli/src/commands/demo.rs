@@ -6,13 +6,13 @@ use super::{path, print_json, print_line};
 use crate::args::{self, examples, flag, json};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::oracle::OracleOptions;
-use segwild_bench::synthetic::{ObjectKind, SyntheticOptions};
-use segwild_bench::trial::{ProviderKind, Trial};
+use segwild_eval::oracle::OracleOptions;
+use segwild_eval::trial::{ProviderKind, Trial};
 use segwild_flow::Stopper;
 use segwild_pipeline::{
     AppearanceRequest, Mode, PhotoPrompts, Preset, RenderContent, RenderRequest, Settings, render,
 };
+use segwild_synthetic::{ObjectKind, SyntheticOptions};
 use std::path::PathBuf;
 
 /// Objects that the demo selects.

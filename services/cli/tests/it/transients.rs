@@ -179,7 +179,7 @@ fn a_mask_that_covers_a_photo_or_does_not_fit_it_is_answered_by_name() {
 
 #[test]
 fn transients_are_found_and_scored_against_the_truth() {
-    use segwild_bench::synthetic::{LightVariation, SyntheticOptions, generate};
+    use segwild_synthetic::{LightVariation, SyntheticOptions, generate};
     let dir = folder();
     let shared_run = dir.path().join("crowd");
     let options = SyntheticOptions {

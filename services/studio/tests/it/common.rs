@@ -4,13 +4,13 @@
 mod made_once;
 
 use made_once::made_once;
-use segwild_bench::oracle::OracleOptions;
-use segwild_bench::synthetic::{ObjectKind, SyntheticOptions};
-use segwild_bench::trial::{ProviderKind, Trial};
+use segwild_eval::oracle::OracleOptions;
+use segwild_eval::trial::{ProviderKind, Trial};
 use segwild_flow::Stopper;
 use segwild_pipeline::{Preset, RunFolder, Settings};
 use segwild_studio::messages::{ShownPrompts, StateMessage, StudioAction};
 use segwild_studio::{Studio, StudioError};
+use segwild_synthetic::{ObjectKind, SyntheticOptions};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
@@ -54,7 +54,7 @@ fn train(dir: &Path) {
     settings.masks.prompt_budget = 16;
     trial.train(&settings).unwrap();
     let objects = trial.manifest().objects.iter().filter(|o| o.kind == ObjectKind::Object);
-    let of_object = |c: &segwild_bench::synthetic::Click| (c.photo.clone(), [c.x, c.y]);
+    let of_object = |c: &segwild_synthetic::Click| (c.photo.clone(), [c.x, c.y]);
     let clicks: Vec<(String, [f32; 2])> = objects.filter_map(|o| o.clicks.first()).map(of_object).collect();
     assert_eq!(trial.folder().path(), dir.join("run"));
     std::fs::write(dir.join(CLICKS), serde_json::to_string(&clicks).unwrap()).unwrap();

@@ -3,7 +3,7 @@
 use crate::seeds::{run, run_for};
 use crate::yard::{folder, put, take};
 use crate::{FuzzTarget, seal};
-use segwild_bench::{protocols, record};
+use segwild_eval::{protocols, record};
 use segwild_monitor::metrics;
 use segwild_pipeline::{Replay, RunFolder, Settings};
 use std::path::PathBuf;

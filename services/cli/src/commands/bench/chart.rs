@@ -7,11 +7,11 @@ use crate::commands::{path as path_of, print_json, print_line};
 use crate::failure::{Failure, plain};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::chart::{ChartBase, ChartEvent, ChartOptions, chart as measure_all, write};
-use segwild_bench::oracle::OracleOptions;
 use segwild_bench::point::{PhotoSource, PointJob, means, measure};
-use segwild_bench::record::Record;
-use segwild_bench::synthetic::SyntheticOptions;
-use segwild_bench::trial::ProviderKind;
+use segwild_eval::oracle::OracleOptions;
+use segwild_eval::record::Record;
+use segwild_eval::trial::ProviderKind;
+use segwild_synthetic::SyntheticOptions;
 use std::path::PathBuf;
 
 /// The benchmark's arguments.

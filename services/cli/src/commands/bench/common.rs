@@ -9,15 +9,15 @@ use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_bench::page::PageError;
 use segwild_bench::point::PointError;
-use segwild_bench::protocols::folder::{Parts, read_parts};
-use segwild_bench::protocols::tables::{all, page};
-use segwild_bench::protocols::{FoundScenes, ProtocolBase, ProtocolError, Table, measure};
-use segwild_bench::record::{Provenance, Record, Results};
-use segwild_bench::synthetic::LightVariation;
-use segwild_bench::trial::ProviderKind;
+use segwild_eval::protocols::folder::{Parts, read_parts};
+use segwild_eval::protocols::tables::{all, page};
+use segwild_eval::protocols::{FoundScenes, ProtocolBase, ProtocolError, Table, measure};
+use segwild_eval::record::{Provenance, Record, Results};
+use segwild_eval::trial::ProviderKind;
 use segwild_gpu::GpuError;
 use segwild_pipeline::{Settings, SettingsError};
 use segwild_scene::settings::Value;
+use segwild_synthetic::LightVariation;
 use std::path::{Path, PathBuf};
 
 /// The arguments of a benchmark that trains scenes by itself: their folders, and `--sizes`.

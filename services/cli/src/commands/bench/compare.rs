@@ -5,8 +5,8 @@ use crate::commands::{print_json, print_line};
 use crate::exit;
 use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
-use segwild_bench::compare::{Change, CompareOptions, compare as compare_all, names_its_provider};
-use segwild_bench::record::Results;
+use segwild_eval::compare::{Change, CompareOptions, compare as compare_all, names_its_provider};
+use segwild_eval::record::Results;
 use std::path::PathBuf;
 
 /// The command's arguments.

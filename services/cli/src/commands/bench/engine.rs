@@ -6,7 +6,7 @@ use crate::commands::{path as path_of, print_json, print_line};
 use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_bench::engine::{EngineOptions, Goal, engine as measure_all, write};
-use segwild_bench::record::Record;
+use segwild_eval::record::Record;
 use segwild_gpu::AdapterChoice;
 use std::path::PathBuf;
 

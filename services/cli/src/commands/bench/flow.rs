@@ -7,7 +7,7 @@ use crate::commands::{path as path_of, print_json, print_line};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::flow::{FlowOptions, Row, measured, over, page};
-use segwild_bench::record::Provenance;
+use segwild_eval::record::Provenance;
 use std::path::PathBuf;
 
 /// The benchmark's arguments.

@@ -5,7 +5,7 @@ use super::synthetic::{scene, with_scene};
 use crate::args::examples;
 use crate::failure::Failure;
 use clap::{ArgMatches, Command};
-use segwild_bench::protocols::lego::{LegoProtocol, lego as measure};
+use segwild_eval::protocols::lego::{LegoProtocol, lego as measure};
 
 /// The benchmark's arguments.
 pub fn command() -> Command {

@@ -6,7 +6,7 @@ use crate::args::{examples, number};
 use crate::commands::path as path_of;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::protocols::photo_tourism::{LAYOUT, PhotoTourismProtocol, scenes};
+use segwild_eval::protocols::photo_tourism::{LAYOUT, PhotoTourismProtocol, scenes};
 use std::path::PathBuf;
 
 /// The benchmark's arguments.

@@ -7,7 +7,7 @@ use crate::commands::{path as path_of, print_json, print_line, use_threads};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command};
 use segwild_bench::reconstruction::{ReconstructionOptions, reconstruction as measure_all, write};
-use segwild_bench::record::Record;
+use segwild_eval::record::Record;
 use segwild_pipeline::Settings;
 use std::path::PathBuf;
 

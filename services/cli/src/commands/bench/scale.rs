@@ -5,8 +5,8 @@ use crate::args::{examples, json, path};
 use crate::commands::{path as path_of, print_json, print_line};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command};
-use segwild_bench::record::Record;
 use segwild_bench::scale::{AXES, Fit, ScaleOptions, along, scale as measure_all, write};
+use segwild_eval::record::Record;
 use std::path::PathBuf;
 
 /// The benchmark's arguments.

@@ -6,7 +6,7 @@ use crate::args::{examples, number};
 use crate::commands::path as path_of;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::protocols::{nvos, spin_nerf};
+use segwild_eval::protocols::{nvos, spin_nerf};
 use std::path::PathBuf;
 
 fn with_args(command: Command, folder: &'static str, clicks: &'static str, help: &'static str) -> Command {

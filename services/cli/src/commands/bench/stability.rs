@@ -7,10 +7,10 @@ use crate::commands::{path as path_of, print_json, print_line, use_threads};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::point::means;
-use segwild_bench::record::Record;
 use segwild_bench::stability::{StabilityOptions, curves, defaults, stability as measure_all, write};
-use segwild_bench::synthetic::SyntheticOptions;
+use segwild_eval::record::Record;
 use segwild_pipeline::Settings;
+use segwild_synthetic::SyntheticOptions;
 use std::path::PathBuf;
 
 /// The benchmark's arguments.

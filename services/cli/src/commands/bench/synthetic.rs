@@ -6,9 +6,9 @@ use super::common::{
 use crate::args::{examples, number};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::oracle::OracleOptions;
-use segwild_bench::protocols::synthetic::{SyntheticProtocol, Targets, synthetic as measure};
-use segwild_bench::synthetic::SyntheticOptions;
+use segwild_eval::oracle::OracleOptions;
+use segwild_eval::protocols::synthetic::{SyntheticProtocol, Targets, synthetic as measure};
+use segwild_synthetic::SyntheticOptions;
 
 /// The benchmark's arguments.
 pub fn command() -> Command {

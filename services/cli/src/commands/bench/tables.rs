@@ -5,9 +5,9 @@ use crate::args::{examples, path};
 use crate::commands::{path as path_of, print_line};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::protocols::ProtocolError;
-use segwild_bench::protocols::tables::page;
-use segwild_bench::record::Results;
+use segwild_eval::protocols::ProtocolError;
+use segwild_eval::protocols::tables::page;
+use segwild_eval::record::Results;
 use std::path::PathBuf;
 
 /// The command's arguments.

@@ -4,7 +4,7 @@
 mod made_once;
 
 use made_once::made_once;
-use segwild_bench::synthetic::{Click, LightVariation, Manifest, SyntheticOptions, generate};
+use segwild_synthetic::{Click, LightVariation, Manifest, SyntheticOptions, generate};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
