@@ -192,3 +192,28 @@ impl Bvh {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Rng;
+    use crate::shape::tests::some_shapes;
+
+    #[test]
+    fn the_hierarchy_finds_what_trying_every_solid_finds() {
+        let mut rng = Rng::new(6, 0);
+        let shapes = some_shapes(&mut rng);
+        let bvh = Bvh::new(&shapes);
+        let mut met = 0;
+        for _ in 0..4000 {
+            let o = rng.triple(-8.0, 8.0);
+            let d = (rng.triple(-3.0, 3.0) - o).normalize();
+            let each = shapes.iter().filter_map(|s| s.hit(o, d, 1e-4)).fold(f32::INFINITY, f32::min);
+            let found = bvh.closest(&shapes, o, d, 1e-4, 1e4).map_or(f32::INFINITY, |h| h.1);
+            assert_eq!(each, found);
+            assert_eq!(bvh.blocked(&shapes, o, d, 1e-4, 1e4), each.is_finite());
+            met += usize::from(each.is_finite());
+        }
+        assert!(met > 400);
+    }
+}

@@ -1,8 +1,9 @@
 //! Where the photos are taken from.
 
+use crate::error::SyntheticError;
+use crate::options::SyntheticOptions;
 use crate::random::Rng;
 use crate::world::{ObjectKind, SyntheticWorld};
-use crate::{SyntheticError, SyntheticOptions};
 use glam::{Vec2, Vec3};
 use segwild_scene::{Camera, Pose};
 

@@ -1,53 +1,13 @@
 //! The scene: a gate on a square, a domed hall at its back, minarets, pavilions, statues.
 
-use crate::bvh::Bvh;
+use crate::builder::Builder;
 use crate::material::{Material, colour};
 use crate::random::Rng;
 use crate::shape::SolidShape;
 use crate::statue;
 use crate::surroundings;
-use crate::world::{Instance, ObjectKind, SyntheticWorld, WorldPart};
+use crate::world::{ObjectKind, SyntheticWorld, WorldPart};
 use glam::{Vec2, Vec3};
-
-/// Collects solids under the current part's name.
-pub struct Builder {
-    world: SyntheticWorld,
-}
-
-impl Builder {
-    /// Starts a named thing.
-    pub fn instance(&mut self, name: &str, kind: ObjectKind) {
-        self.world.instances.push(Instance { name: name.into(), kind });
-    }
-
-    /// Starts a part of the current thing.
-    pub fn part(&mut self, name: &str) -> u16 {
-        let instance = (self.world.instances.len() - 1) as u16;
-        self.world.parts.push(WorldPart { name: name.into(), instance });
-        (self.world.parts.len() - 1) as u16
-    }
-
-    /// Registers a material.
-    pub fn material(&mut self, material: Material) -> u16 {
-        self.world.materials.push(material);
-        (self.world.materials.len() - 1) as u16
-    }
-
-    /// Adds a solid to the current part.
-    pub fn add(&mut self, shape: SolidShape, material: u16) {
-        let part = (self.world.parts.len() - 1) as u16;
-        self.world.shapes.push(shape);
-        self.world.part_of.push(part);
-        self.world.material_of.push(material);
-    }
-
-    /// Adds several solids.
-    pub fn add_all(&mut self, shapes: Vec<SolidShape>, material: u16) {
-        for shape in shapes {
-            self.add(shape, material);
-        }
-    }
-}
 
 /// Colours of a scene.
 struct Palette {
@@ -132,33 +92,19 @@ pub fn build(seed: u64) -> SyntheticWorld {
         floor: rng.range(0.30, 0.48),
         half: bay * (columns as f32 - 1.0) / 2.0,
     };
-    let mut b = Builder {
-        world: SyntheticWorld {
-            shapes: Vec::new(),
-            part_of: Vec::new(),
-            material_of: Vec::new(),
-            materials: Vec::new(),
-            instances: Vec::new(),
-            parts: Vec::new(),
-            ground: 0,
-            ground_part: 1,
-            centre: Vec3::new(0.0, 1.2, 1.9),
-            distance: 11.5,
-            haze: 190.0,
-            bvh: Bvh::new(&[]),
-        },
-    };
+    let mut b = Builder::new();
     b.instance("sky", ObjectKind::Surface);
     b.part("sky");
     b.instance("ground", ObjectKind::Surface);
     b.part("ground");
-    b.world.ground = b.material(Material::Plaza {
+    let ground = Material::Plaza {
         flag: palette.flag,
         band: palette.lintel * 0.9,
         lawn: palette.lawn,
         centre: Vec2::new(0.0, -1.0),
         half: Vec2::new(plan.half + 6.2, 10.1),
-    });
+    };
+    b.ground(ground);
     gate(&mut b, &mut rng, &palette, &plan);
     let hall = hall(&mut b, &mut rng, &palette, &plan);
     minarets(&mut b, &mut rng, &palette, &plan, hall.y);
@@ -166,8 +112,7 @@ pub fn build(seed: u64) -> SyntheticWorld {
     statues(&mut b, &mut rng, &palette, &plan);
     surroundings::occluded_wall(&mut b, &mut rng, hall);
     surroundings::landscape(&mut b, &mut rng, plan.half);
-    b.world.bvh = Bvh::new(&b.world.shapes);
-    b.world
+    b.finish()
 }
 
 /// Steps, columns in front of piers, and the lintel with what stands on it.

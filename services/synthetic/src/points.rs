@@ -1,9 +1,10 @@
 //! The points a reconstruction of the photos would have.
 
 use crate::cameras::CameraShot;
+use crate::options::SyntheticOptions;
+use crate::photo::SyntheticPhoto;
 use crate::random::Rng;
 use crate::world::SyntheticWorld;
-use crate::{SyntheticOptions, SyntheticPhoto};
 use glam::{DVec3, Vec2, Vec3};
 use segwild_scene::{NEAR, Observation};
 

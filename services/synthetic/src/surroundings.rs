@@ -1,6 +1,6 @@
 //! What surrounds the buildings, and the wall at their back.
 
-use crate::layout::Builder;
+use crate::builder::Builder;
 use crate::material::{Material, colour};
 use crate::random::Rng;
 use crate::shape::SolidShape;

@@ -3,7 +3,7 @@
 use crate::bvh::Bvh;
 use crate::light::{Day, open_samples};
 use crate::material::Material;
-use crate::shape::SolidShape;
+use crate::shape::{SolidShape, Surface};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
@@ -135,7 +135,7 @@ impl SyntheticWorld {
         let p = o + d * hit.t;
         let (surface, material) = match hit.solid {
             Some(i) => (self.shapes[i].surface(p), self.material_of[i]),
-            None => (crate::shape::Surface { normal: Vec3::Z, uv: p.truncate(), flat: true }, self.ground),
+            None => (Surface { normal: Vec3::Z, uv: p.truncate(), flat: true }, self.ground),
         };
         let slant = surface.normal.dot(-d).abs().max(0.15);
         let footprint = hit.t * pixel / slant.sqrt();

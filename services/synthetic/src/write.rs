@@ -1,6 +1,10 @@
 //! Writes a set as a COLMAP scene with its truth beside it.
 
-use crate::{ObjectKind, SyntheticError, SyntheticOptions, SyntheticPhoto, SyntheticScene};
+use crate::error::SyntheticError;
+use crate::options::SyntheticOptions;
+use crate::photo::SyntheticPhoto;
+use crate::scene::SyntheticScene;
+use crate::world::{Instance, ObjectKind, WorldPart};
 use glam::{DMat3, DQuat};
 use segwild_files as files;
 use segwild_scene::colmap::{
@@ -18,9 +22,9 @@ pub struct Manifest {
     /// The photos, in order.
     pub photos: Vec<PhotoTruth>,
     /// The named things; an id is an index, 0 is the sky.
-    pub instances: Vec<crate::Instance>,
+    pub instances: Vec<Instance>,
     /// The parts; an id is an index, 0 is the sky.
-    pub parts: Vec<crate::WorldPart>,
+    pub parts: Vec<WorldPart>,
     /// The instances with masks in `truth/<name>/`, in the order of their ids.
     pub objects: Vec<ObjectTruth>,
 }
