@@ -1,6 +1,6 @@
 //! The oracle's embedding: a descriptor per thing, mixed, offset and noisy.
 
-use super::{Oracle, Thing};
+use super::truth::{Oracle, Thing};
 use segwild_scene::{Embedding, Image};
 use segwild_synthetic::random::Rng;
 use segwild_vision::{Embedder, VisionError};

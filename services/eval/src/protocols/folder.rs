@@ -1,8 +1,9 @@
 //! Any scene with true masks beside it: `SCENE/truth/PHOTO.png` of one object, or `SCENE/truth/OBJECT/PHOTO.png` of
 //! several.
 
-use super::scene::{photos, stem};
-use super::{EvalQuery, EvalScene, FoundScenes, Missing, ProtocolError, clicks};
+use super::clicks;
+use super::error::{Missing, ProtocolError};
+use super::scene::{EvalQuery, EvalScene, FoundScenes, photos, stem};
 use segwild_pipeline::{PhotoPrompts, Settings};
 use segwild_scene::{Mask, MaskFiles, Prompts, Random, SceneError};
 use std::collections::BTreeMap;
@@ -101,6 +102,10 @@ pub fn scenes(
 /// The objects and their true masks, by name.
 pub type Objects = BTreeMap<String, Vec<(String, PathBuf)>>;
 
+/// The objects of a scene with true masks in `truth/`: one folder per object, or one object whose masks lie there.
+///
+/// # Errors
+/// When there is no true mask that is named as a photo, or a folder cannot be read.
 pub fn objects(scene: &Path, photos: &[String]) -> Result<Objects, ProtocolError> {
     let truth = scene.join("truth");
     let missing = |what: String| Missing { what: vec![what], layout: LAYOUT.into() };

@@ -1,7 +1,8 @@
 //! NeRF-W's controlled experiment: the same photos clean, in other colours, with a striped square before them, and both;
 //! what each costs on clean test photos (method, section 11).
 
-use super::{OnRecord, ProtocolBase, ProtocolError, keep};
+use super::base::{OnRecord, ProtocolBase, keep};
+use super::error::ProtocolError;
 use crate::ablation::{FULL, Variant};
 use crate::oracle::OracleOptions;
 use crate::perturb::{AffineColours, StripedSquare};

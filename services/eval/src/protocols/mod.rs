@@ -1,9 +1,10 @@
 //! Benchmarks that others can repeat: a scene, the queries, the true masks, and the numbers.
 //!
 //! Each protocol finds its scenes and queries ([`EvalScene`], or a synthetic [`crate::trial::Trial`]), puts every row
-//! ([`crate::ablation::Variant`]) through them, and leaves [`Results`] in `OUT/results.json`. Tables are printed from
-//! those ([`tables`]).
+//! ([`crate::ablation::Variant`]) through them, and leaves [`crate::record::Results`] in `OUT/results.json`. Tables are
+//! printed from those ([`tables`]).
 
+mod base;
 pub mod clicks;
 mod error;
 pub mod folder;
@@ -16,69 +17,6 @@ pub mod spin_nerf;
 pub mod synthetic;
 pub mod tables;
 
+pub use base::{OnRecord, ProtocolBase, Table};
 pub use error::{Missing, ProtocolError};
 pub use scene::{EvalQuery, EvalScene, FoundScenes, measure};
-
-use crate::ablation::{VARIANTS, Variant};
-use crate::baselines::{BASELINES, row};
-use crate::record::{Record, Results};
-use crate::trial::TrialError;
-use segwild_pipeline::{Settings, SettingsError};
-use std::path::Path;
-
-/// Which rows a table has when none is named.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Table {
-    /// One part of the method changed at a time (the paper's Table 2).
-    Ablation,
-    /// Other methods (the paper's Table 1).
-    Baselines,
-}
-
-impl Table {
-    /// Its rows, or those of either table that are named.
-    ///
-    /// # Errors
-    /// When there is no row of a name.
-    pub fn rows(self, only: &[String]) -> Result<Vec<&'static Variant>, ProtocolError> {
-        if only.is_empty() {
-            let all = if self == Table::Baselines { BASELINES } else { VARIANTS };
-            return Ok(all.iter().collect());
-        }
-        let named = |name: &String| row(name).ok_or_else(|| TrialError::Row(name.clone()).into());
-        only.iter().map(named).collect()
-    }
-}
-
-/// What all rows have in common.
-#[derive(Clone, Debug, Default)]
-pub struct ProtocolBase {
-    /// The settings that rows start from.
-    pub settings: Settings,
-    /// Settings that hold whatever a row says, by name: to tune a baseline.
-    pub changes: Vec<(String, String)>,
-}
-
-impl ProtocolBase {
-    /// A row's settings.
-    ///
-    /// # Errors
-    /// When there is no setting of a name, or a value is out of its range.
-    pub fn row(&self, row: &Variant) -> Result<Settings, ProtocolError> {
-        let mut settings = row.settings(&self.settings)?;
-        for (name, value) in &self.changes {
-            settings.set(name, value).map_err(SettingsError::from)?;
-        }
-        Ok(settings)
-    }
-}
-
-/// Receives every measurement as it is made.
-pub type OnRecord<'a> = &'a mut dyn FnMut(&Record);
-
-/// Adds a measurement and keeps the results as they are by now, so that what was measured before an error is not lost.
-fn keep(results: &mut Results, record: Record, out: &Path, report: OnRecord) -> Result<(), ProtocolError> {
-    report(&record);
-    results.put(record);
-    Ok(results.write(&out.join("results.json"))?)
-}

@@ -1,8 +1,9 @@
 //! NVOS (Ren et al. 2022): a scribble on one photo of a forward-facing scene, the true mask of another.
 
+use super::clicks;
+use super::error::{Missing, ProtocolError};
 use super::folder::entries;
-use super::scene::{photo_of, photos, stem};
-use super::{EvalQuery, EvalScene, FoundScenes, Missing, ProtocolError, clicks};
+use super::scene::{EvalQuery, EvalScene, FoundScenes, photo_of, photos, stem};
 use segwild_pipeline::{PhotoPrompts, Settings};
 use segwild_scene::{Mask, PointPrompt, Prompts};
 use std::path::{Path, PathBuf};

@@ -1,9 +1,10 @@
 //! The paper's own protocol: nine targets in three scenes of Photo Tourism, one reference photo and three true masks
 //! each, and PSNR on the held-out photos by left and right halves. The photos and masks are the user's.
 
+use super::clicks;
+use super::error::{Missing, ProtocolError};
 use super::paper::{PAPER, PaperScene, PaperTarget};
-use super::scene::stem;
-use super::{EvalQuery, EvalScene, FoundScenes, Missing, ProtocolError, clicks};
+use super::scene::{EvalQuery, EvalScene, FoundScenes, stem};
 use segwild_pipeline::{PhotoPrompts, Replay, Settings};
 use segwild_scene::{Mask, MaskFiles, Prompts, Scene};
 use std::path::{Path, PathBuf};

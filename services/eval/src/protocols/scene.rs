@@ -1,6 +1,7 @@
 //! A scene of real photos with true masks of some of them, and the queries on it.
 
-use super::{Missing, OnRecord, ProtocolBase, ProtocolError, keep};
+use super::base::{OnRecord, ProtocolBase, keep};
+use super::error::{Missing, ProtocolError};
 use crate::ablation::Variant;
 use crate::metrics::{self, MaskMetrics};
 use crate::record::{Record, Results};

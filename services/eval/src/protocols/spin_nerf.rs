@@ -1,9 +1,10 @@
 //! SPIn-NeRF's multi-view masks (Mirzaei et al. 2023): the target's true mask on one photo is where it is clicked, those of
 //! all others score it.
 
+use super::clicks;
+use super::error::ProtocolError;
 use super::folder::{entries, masks_in};
-use super::scene::photos;
-use super::{EvalQuery, EvalScene, FoundScenes, ProtocolError, clicks};
+use super::scene::{EvalQuery, EvalScene, FoundScenes, photos};
 use segwild_pipeline::{PhotoPrompts, Settings};
 use segwild_scene::{Mask, Prompts};
 use std::path::{Path, PathBuf};

@@ -1,6 +1,8 @@
 //! Synthetic scenes, whose truth is known exactly: one click per object, or several at random (method, section 11).
 
-use super::{OnRecord, ProtocolBase, ProtocolError, Table, clicks, keep};
+use super::base::{OnRecord, ProtocolBase, Table, keep};
+use super::clicks;
+use super::error::ProtocolError;
 use crate::oracle::OracleOptions;
 use crate::record::{Record, Results};
 use crate::trial::{ProviderKind, Trial};
