@@ -1,7 +1,7 @@
 //! The same scene trained and selected whole by either engine, and a training that moves from one to the other.
 
+use segwild_bench::harm::Harm;
 use segwild_bench::point::{PhotoSource, PointJob, Prompting, measure};
-use segwild_bench::stability::Harm;
 use segwild_eval::oracle::OracleOptions;
 use segwild_eval::trial::ProviderKind;
 use segwild_pipeline::{RunFolder, RunOptions, Settings, Until, run};

@@ -3,8 +3,8 @@
 //! Cost is only comparable between processes that did one thing each: [`apart`] starts a program for every [`PointJob`],
 //! and nothing is shared between two of them.
 
-use crate::flow::{Calls, counted};
-use crate::stability::Harm;
+use crate::counted::{Calls, counted};
+use crate::harm::Harm;
 use segwild_eval::oracle::OracleOptions;
 use segwild_eval::protocols::clicks;
 use segwild_eval::protocols::folder::Parts;
@@ -22,7 +22,6 @@ use segwild_synthetic::random::Rng;
 use segwild_synthetic::{ObjectKind, ObjectTruth, SyntheticOptions, SyntheticPhoto, generate};
 use segwild_vision::Providers;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -481,17 +480,6 @@ fn pointed_at(mask: &Mask) -> Prompts {
         }
     }
     prompts
-}
-
-/// Mean of a number over the targets and prompts of one training, or the number itself where it speaks of the whole
-/// scene; by name.
-pub fn means(records: &[&Record]) -> BTreeMap<String, f64> {
-    let mut sums: BTreeMap<String, (f64, u32)> = BTreeMap::new();
-    for (name, value) in records.iter().flat_map(|r| &r.numbers) {
-        let entry = sums.entry(name.clone()).or_default();
-        *entry = (entry.0 + value, entry.1 + 1);
-    }
-    sums.into_iter().map(|(name, (sum, n))| (name, sum / f64::from(n))).collect()
 }
 
 #[cfg(test)]

@@ -1,10 +1,10 @@
 //! How well scenes are reconstructed: every photo held out is scored whole, and shown beside its render (method, section 10).
 
 use crate::page::{PageError, io};
-use crate::point::{PointError, means, name_of};
+use crate::point::{PointError, name_of};
 use segwild_eval::metrics::psnr;
 use segwild_eval::protocols::folder::objects;
-use segwild_eval::record::{Provenance, Record, Results};
+use segwild_eval::record::{Provenance, Record, Results, means};
 use segwild_eval::stamp;
 use segwild_eval::trial::TrialError;
 use segwild_flow::{cpu, files};

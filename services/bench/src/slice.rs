@@ -1,8 +1,8 @@
 //! A small slice of the benchmark, for every change: quality and counted work on fixed seeds, in seconds. Compared with
 //! what is kept beside the code ([`segwild_eval::compare`], strictly), it fails when either gets worse.
 
+use crate::harm::Harm;
 use crate::point::{PhotoSource, PointError, PointJob, Prompting, measure};
-use crate::stability::Harm;
 use segwild_eval::oracle::OracleOptions;
 use segwild_eval::record::{Provenance, Results};
 use segwild_eval::trial::ProviderKind;

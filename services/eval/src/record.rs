@@ -177,6 +177,17 @@ impl Results {
     }
 }
 
+/// Mean of a number over the targets and prompts of one training, or the number itself where it speaks of the whole
+/// scene; by name.
+pub fn means(records: &[&Record]) -> BTreeMap<String, f64> {
+    let mut sums: BTreeMap<String, (f64, u32)> = BTreeMap::new();
+    for (name, value) in records.iter().flat_map(|r| &r.numbers) {
+        let entry = sums.entry(name.clone()).or_default();
+        *entry = (entry.0 + value, entry.1 + 1);
+    }
+    sums.into_iter().map(|(name, (sum, n))| (name, sum / f64::from(n))).collect()
+}
+
 /// A word as a field of comma-separated values (RFC 4180).
 fn quoted(word: &str) -> String {
     if word.contains([',', '"', '\n', '\r']) {

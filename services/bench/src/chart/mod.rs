@@ -9,12 +9,13 @@ mod sweeps;
 
 pub use page::{ChartPage, write};
 pub use points::DefaultVerdict;
-pub use sweeps::{SWEEPS, Sweep};
+pub use sweeps::{DEFAULT, SWEEPS, Sweep};
 
+use crate::harm::Harm;
 use crate::page::{PageError, io};
 use crate::point::{self, PhotoSource, PointError, PointJob, Prompting};
 use crate::scale::kernels::pace;
-use crate::stability::Harm;
+use points::PACE;
 use segwild_eval::oracle::OracleOptions;
 use segwild_eval::record::{Provenance, Record, Results};
 use segwild_eval::trial::ProviderKind;
@@ -22,8 +23,6 @@ use segwild_flow::files;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// The setting under which the default is recorded.
-pub const DEFAULT: &str = "default";
 /// The protocol under which points are recorded.
 pub const PROTOCOL: &str = "chart";
 
@@ -119,9 +118,6 @@ pub fn chart(options: &ChartOptions, mut report: impl FnMut(ChartEvent)) -> Resu
     }
     Ok(results)
 }
-
-/// CPU milliseconds of the same work before and after a point was measured.
-const PACE: &str = "pace_ms";
 
 /// A point that is to be measured.
 struct SweepPlan {

@@ -1,7 +1,7 @@
 //! The chart as files: figures, tables, data, and one page that holds them all.
 
 use super::points::{CHEAPER, COSTS, ChartPoint, DefaultVerdict, MEASURES, cost_words, pace_words, point};
-use super::{DEFAULT, SWEEPS, Sweep};
+use super::sweeps::{DEFAULT, SWEEPS, Sweep};
 use crate::page::{PageError, io};
 use crate::plot::{Figure, Mark, Panel, PlotSeries, escaped, front};
 use segwild_eval::record::Results;

@@ -1,11 +1,13 @@
 //! The points of a chart, and how the default stands among them.
 
-use super::{DEFAULT, PACE, SWEEPS, Sweep};
-use crate::point::means;
+use super::sweeps::{DEFAULT, SWEEPS, Sweep};
 use segwild_eval::metrics::Spread;
-use segwild_eval::record::{Record, Results};
+use segwild_eval::record::{Record, Results, means};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
+
+/// CPU milliseconds of the same work before and after a point was measured.
+pub(super) const PACE: &str = "pace_ms";
 
 /// A point: its numbers over the seeds, each the mean over scenes and targets.
 #[derive(Clone, Debug)]

@@ -2,6 +2,9 @@
 
 use segwild_pipeline::{Settings, SettingsError};
 
+/// The setting under which the default is recorded.
+pub const DEFAULT: &str = "default";
+
 /// One setting and the values it is given.
 #[derive(Clone, Copy, Debug)]
 pub struct Sweep {

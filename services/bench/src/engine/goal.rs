@@ -1,6 +1,6 @@
 //! How long a training takes until the photos are shown so well.
 
-use super::PROTOCOL;
+use super::record::PROTOCOL;
 use crate::page::PageError;
 use crate::point::PointError;
 use segwild_eval::oracle::OracleOptions;

@@ -1,6 +1,7 @@
 //! Killed at any moment, a run ends in the same bytes.
 
-use super::{FlowError, FlowOptions, Row, fresh, io, write_scene};
+use super::row::{FlowError, FlowOptions, Row, io};
+use super::scene::{fresh, write_scene};
 use segwild_flow::Ledger;
 use segwild_flow::ledger::State;
 use segwild_synthetic::Manifest;

@@ -1,6 +1,7 @@
 //! Memory does not grow with the photos.
 
-use super::{FlowError, FlowOptions, Row, fresh, io, write_scene};
+use super::row::{FlowError, FlowOptions, Row, io};
+use super::scene::{fresh, write_scene};
 use std::path::Path;
 use std::process::Command;
 

@@ -1,6 +1,9 @@
 //! What overlapping is worth, and what it costs.
 
-use super::{FlowError, FlowOptions, Row, Waits, counted, fresh, io, settings, waiting, write_scene};
+use super::row::{FlowError, FlowOptions, Row, io};
+use super::scene::{fresh, settings, write_scene};
+use super::waiting::{Waits, waiting};
+use crate::counted::counted;
 use segwild_flow::{Event, Events, cpu, files};
 use segwild_pipeline::{RunFolder, RunOptions, Settings, Until, run};
 use segwild_vision::Providers;

@@ -1,12 +1,8 @@
-//! Providers that cost no core of ours: they wait, as one on another machine or on an accelerator makes us wait; and
-//! a count of how often any provider is called.
+//! Providers that cost no core of ours: they wait, as one on another machine or on an accelerator makes us wait.
 
-use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
-use segwild_vision::{
-    Embedder, MaskProposer, PromptSegmenter, Prompted, Providers, SkyDetector, VisionError, Work,
-};
+use segwild_scene::{Embedding, Image, Mask, ScoredMask};
+use segwild_vision::{Embedder, MaskProposer, Providers, SkyDetector, VisionError};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 /// How long each answer takes.
@@ -20,21 +16,6 @@ pub struct Waits {
     pub masks: Duration,
     /// Whether they wait for the one accelerator of this machine, or each for a machine of its own.
     pub accelerator: bool,
-}
-
-/// How often providers were called.
-#[derive(Clone, Debug, Default)]
-pub struct Calls(Arc<AtomicUsize>);
-
-impl Calls {
-    /// Calls so far.
-    pub fn count(&self) -> usize {
-        self.0.load(Ordering::Relaxed)
-    }
-
-    fn one(&self) {
-        self.0.fetch_add(1, Ordering::Relaxed);
-    }
 }
 
 /// Does nothing for a while.
@@ -120,85 +101,4 @@ pub fn waiting(providers: &Providers, waits: Waits) -> Providers {
         notes: vec!["descriptors, masks and sky: a test provider that waits".into()],
         ..providers.clone()
     }
-}
-
-struct CountedProviders(Providers, Calls);
-
-impl Embedder for CountedProviders {
-    fn key(&self) -> String {
-        self.0.embedder.key()
-    }
-    fn accelerator(&self) -> bool {
-        self.0.embedder.accelerator()
-    }
-    fn embed(&self, image: &Image) -> Result<Embedding, VisionError> {
-        self.1.one();
-        self.0.embedder.embed(image)
-    }
-}
-
-impl MaskProposer for CountedProviders {
-    fn key(&self) -> String {
-        self.0.proposer.key()
-    }
-    fn accelerator(&self) -> bool {
-        self.0.proposer.accelerator()
-    }
-    fn propose(&self, image: &Image, points: &[[f32; 2]]) -> Result<Vec<ScoredMask>, VisionError> {
-        self.1.one();
-        self.0.proposer.propose(image, points)
-    }
-    fn work(&self) -> Option<Work> {
-        self.0.proposer.work()
-    }
-}
-
-impl PromptSegmenter for CountedProviders {
-    fn key(&self) -> String {
-        self.0.segmenter.key()
-    }
-    fn accelerator(&self) -> bool {
-        self.0.segmenter.accelerator()
-    }
-    fn prompted(&self, image: &Image, prompts: &Prompts) -> Result<Prompted, VisionError> {
-        self.1.one();
-        self.0.segmenter.prompted(image, prompts)
-    }
-    fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {
-        self.1.one();
-        self.0.segmenter.refine(image, certainty)
-    }
-    fn prepare(&self, image: &Image) {
-        self.0.segmenter.prepare(image);
-    }
-}
-
-impl SkyDetector for CountedProviders {
-    fn key(&self) -> String {
-        self.0.sky.key()
-    }
-    fn accelerator(&self) -> bool {
-        self.0.sky.accelerator()
-    }
-    fn sky(&self, image: &Image) -> Result<Mask, VisionError> {
-        self.1.one();
-        self.0.sky.sky(image)
-    }
-}
-
-/// The same providers, their calls counted.
-pub fn counted(providers: &Providers) -> (Providers, Calls) {
-    let calls = Calls::default();
-    let counted = Arc::new(CountedProviders(providers.clone(), calls.clone()));
-    let providers = Providers {
-        embedder: counted.clone(),
-        proposer: counted.clone(),
-        segmenter: counted.clone(),
-        sky: counted,
-        transients: None,
-        name: providers.name.clone(),
-        notes: providers.notes.clone(),
-        networks: providers.networks.clone(),
-    };
-    (providers, calls)
 }

@@ -1,6 +1,6 @@
 //! The kernels alone: a frame full of small splats.
 
-use super::PROTOCOL;
+use super::axes::PROTOCOL;
 use crate::page::PageError;
 use glam::Vec3;
 use segwild_eval::record::Record;

@@ -1,6 +1,6 @@
 //! The page: measurements, slopes, and the large scene on paper.
 
-use super::{AXES, Fit, along, beyond};
+use super::axes::{AXES, Fit, along, beyond};
 use crate::page::{PageError, io};
 use crate::plot::short;
 use segwild_eval::record::Results;

@@ -1,6 +1,6 @@
 //! The kernels at the ends of what f32 holds: splats from far under a pixel to far over the screen.
 
-use super::PROTOCOL;
+use super::stress::PROTOCOL;
 use glam::{DQuat, Vec3};
 use segwild_eval::record::Record;
 use segwild_raster::reference::{Parameters, Reference};

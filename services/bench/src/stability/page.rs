@@ -1,12 +1,12 @@
 //! The page: every curve, where it breaks, and what the program reports there.
 
-use super::{BREAKS, Curve, STRESSES, curves};
+use super::curve::{Amount, BREAKS, Curve, curves};
+use super::stress::STRESSES;
 use crate::page::{PageError, io};
 use crate::plot::{Figure, Mark, Panel, PlotSeries, short};
-use crate::point::means;
 use segwild_eval::metrics::Spread;
 use segwild_eval::oracle::ORACLE;
-use segwild_eval::record::{Record, Results};
+use segwild_eval::record::{Record, Results, means};
 use segwild_eval::stamp::{self, providers};
 use segwild_flow::files;
 use std::collections::BTreeSet;
@@ -158,7 +158,7 @@ pub fn figure(results: &Results) -> Figure {
         if curve.amounts.len() < 2 {
             return None;
         }
-        let mark = |y: f64, a: &super::Amount| Mark {
+        let mark = |y: f64, a: &Amount| Mark {
             x: a.value,
             y,
             note: format!(
@@ -172,7 +172,7 @@ pub fn figure(results: &Results) -> Figure {
             ),
             ..Mark::default()
         };
-        let of = |name: &str, pick: fn(&super::Amount) -> f64| PlotSeries {
+        let of = |name: &str, pick: fn(&Amount) -> f64| PlotSeries {
             name: name.into(),
             marks: curve.amounts.iter().map(|a| mark(pick(a), a)).collect(),
             line: true,

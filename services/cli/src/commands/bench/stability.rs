@@ -6,9 +6,8 @@ use crate::args::{examples, given, json, number, path, with_settings_in_long_hel
 use crate::commands::{path as path_of, print_json, print_line, use_threads};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::point::means;
 use segwild_bench::stability::{StabilityOptions, curves, defaults, stability as measure_all, write};
-use segwild_eval::record::Record;
+use segwild_eval::record::{Record, means};
 use segwild_pipeline::Settings;
 use segwild_synthetic::SyntheticOptions;
 use std::path::PathBuf;
