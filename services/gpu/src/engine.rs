@@ -417,15 +417,20 @@ pub(crate) fn sort(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::check;
+    use crate::probe::{running_sums, sorted};
+    use segwild_scene::Random;
 
     #[test]
     fn running_sums_go_over_three_levels_of_blocks() {
         for engine in crate::common::either_way("running_sums_go_over_three_levels_of_blocks") {
             let by = engine.adapter().subgroups;
             for count in [1, 1023, 1024, 1025, BLOCK * BLOCK + 7] {
-                let right = check::sums(&mut engine.device.work(), count).expect("it runs");
-                assert_eq!(right, Ok(()), "{count} numbers, by subgroups of {by:?}");
+                let mut random = Random::new(3);
+                let numbers: Vec<u32> = (0..count).map(|_| random.below(4) as u32).collect();
+                let before = |sum: &mut u32, n: &u32| Some(std::mem::replace(sum, *sum + *n));
+                let right: Vec<u32> = numbers.iter().scan(0, before).collect();
+                let got = running_sums(engine, &numbers).expect("it runs");
+                assert!(got == right, "{count} numbers, by subgroups of {by:?}");
             }
         }
     }
@@ -435,12 +440,7 @@ mod tests {
         for engine in crate::common::either_way("a_running_sum_that_does_not_fit_stays_at_the_largest_number")
         {
             let by = engine.adapter().subgroups;
-            let mut work = engine.device.work();
-            let mut sums_of = |numbers: &[u32]| -> Vec<u32> {
-                let data = work.upload("numbers", numbers).expect("it fits");
-                scan(&mut work, &data, numbers.len()).expect("it runs");
-                work.read(&data, numbers.len()).expect("it comes back")
-            };
+            let sums_of = |numbers: &[u32]| running_sums(engine, numbers).expect("it runs");
             let sums = sums_of(&[1 << 20; 5000]);
             assert_eq!((sums[4095], sums[4096], sums[4999]), (4095 << 20, u32::MAX, u32::MAX), "{by:?}");
             // Inside one block: between the numbers of a thread, and between threads.
@@ -457,8 +457,13 @@ mod tests {
         for engine in crate::common::either_way("the_sort_keeps_the_order_of_equal_keys") {
             let by = engine.adapter().subgroups;
             for (count, bits) in [(0, 8), (1, 4), (1024, 4), (5000, 13), (70_000, 32)] {
-                let right = check::sorted(&mut engine.device.work(), count, bits).expect("it runs");
-                assert_eq!(right, Ok(()), "{count} items, by subgroups of {by:?}");
+                let mut random = Random::new(count as u64);
+                let key = |_| (random.bits() as u32) >> (u32::BITS - bits) & !6;
+                let keys: Vec<u32> = (0..count).map(key).collect();
+                let mut items: Vec<u32> = (0..count as u32).collect();
+                let got = sorted(engine, &keys, &items, bits).expect("it runs");
+                items.sort_by_key(|&i| keys[i as usize]);
+                assert!(got == items, "{count} items, by subgroups of {by:?}");
             }
         }
     }

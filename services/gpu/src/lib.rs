@@ -27,6 +27,7 @@ mod memory;
 mod nets;
 mod optimiser;
 mod passes;
+pub mod probe;
 mod shaders;
 mod speed;
 mod training;

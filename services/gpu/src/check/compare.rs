@@ -1,20 +1,16 @@
 //! Checks the kernels of the photo's half of a step: losses on the device against those on the host.
 
-use super::{KernelCheck, Tolerance};
-use crate::compare::{ComparisonInputs, GpuPhoto, Graded, StepReadback, compare};
-use crate::engine::{Cloud, bin};
-use crate::nets::Visible;
-use crate::view::pack_image;
-use crate::{GpuEngine, GpuError};
+use super::{KernelCheck, Tolerance, interleaved};
+use crate::GpuEngine;
+use crate::probe::{ComparedOnDevice, LossPasses};
 use glam::Vec3;
 use segwild_objective::background;
 use segwild_objective::background::{BASES, BackgroundSums};
 use segwild_objective::compare::{self as host, Compared, LeaveOut, LossInputs, LossOutput, PhotoTarget};
 use segwild_objective::transients::{BINS, Residuals, VisibilityMap, smoothed};
 use segwild_objective::{AffineAppearance, Appearance};
-use segwild_raster::{Frame, ProjectOptions, RasterError};
-use segwild_scene::{Camera, Image, Pose, Random, Splats};
-use std::sync::Arc;
+use segwild_raster::{Frame, RasterError};
+use segwild_scene::{Camera, Image, Pose, Random};
 
 /// A photo, an image of the scene, and the settings of the losses.
 #[derive(Clone, Debug)]
@@ -195,7 +191,9 @@ pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<KernelCh
     let TestCase { frame, target, .. } = test_case;
     let seeing = test_case.map.as_ref().map(|map| VisibilityMap { map, decides: true });
     let wanted = host::compare(frame, target, &loss_inputs, seeing.as_ref());
-    let got = on_the_device(engine, test_case)?;
+    let got: ComparedOnDevice =
+        LossPasses::upload(engine, frame, target, &loss_inputs, test_case.map.as_ref())?
+            .results(&loss_inputs)?;
     let shown = shown(test_case);
     let residual = host::mean_difference(&shown, &target.image());
     let mut checked = Vec::new();
@@ -208,7 +206,7 @@ pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<KernelCh
     if let LeaveOut::Residual(_) = loss_inputs.leave_out {
         let smooth = smoothed(&target.uncertain(&residual), target.width);
         add(&["compose", "box_mean"], SHOWN.compare("smoothed residuals", &got.smoothed, &smooth));
-        let (got, wanted) = (&got.results.residuals, &wanted.output.residuals);
+        let (got, wanted) = (&got.output.residuals, &wanted.output.residuals);
         add(&["tally", "limits"], SHARES.compare("shares", some(got), some(wanted)));
     }
     if let Some(blames) = &got.blames {
@@ -221,16 +219,16 @@ pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<KernelCh
     let quality = |results: &LossOutput| [results.psnr, results.left_out];
     add(
         &["weigh", "total", "prefer"],
-        SUMS.compare("quality", &quality(&got.results), &quality(&wanted.output)),
+        SUMS.compare("quality", &quality(&got.output), &quality(&wanted.output)),
     );
     add(&["box_mean", "weigh", "prefer"], GRADED.compare("errors", &got.error, &wanted.error.data));
     let Compared { output, image, alpha, .. } = wanted;
-    add(&["structure", "slope"], SUMS.compare("loss", &[got.results.loss], &[output.loss]));
-    let wide = pack_image(&image, 0, 1, Some(&alpha));
+    add(&["structure", "slope"], SUMS.compare("loss", &[got.output.loss], &[output.loss]));
+    let wide = interleaved(&Frame { image, alpha });
     let kernels: &[&str] =
         if loss_inputs.matrix.is_some() { &["grade"] } else { &["structure", "slope", "grade"] };
     add(kernels, SLOPES.compare("gradients", &got.grads, &wide));
-    if let (Some(got), Some(wanted)) = (&got.results.matrix, &output.matrix) {
+    if let (Some(got), Some(wanted)) = (&got.output.matrix, &output.matrix) {
         add(&["grade"], SUMS.compare("gradient of the matrix", got, wanted));
     }
     let sums = |results: &LossOutput| match &results.background {
@@ -241,7 +239,7 @@ pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<KernelCh
         BackgroundSums::Colour(sums) => [sums.pull.as_slice(), &[sums.total]].concat(),
     };
     let kernels: &[&str] = if loss_inputs.has_sky { &["sky_sums"] } else { &["colour_sums"] };
-    add(kernels, SUMS.compare("sums for the background", &sums(&got.results), &sums(&output)));
+    add(kernels, SUMS.compare("sums for the background", &sums(&got.output), &sums(&output)));
     Ok(checked)
 }
 
@@ -258,48 +256,4 @@ fn shown(test_case: &TestCase) -> Image {
     let mut appearance = AffineAppearance::new(1);
     appearance.set_matrix(0, matrix);
     appearance.apply(0, &scene)
-}
-
-/// Output of the device's kernels.
-struct Got {
-    shown: Vec<f32>,
-    smoothed: Vec<f32>,
-    weights: Vec<f32>,
-    grads: Vec<f32>,
-    error: Vec<f32>,
-    blames: Option<Vec<f32>>,
-    results: LossOutput,
-}
-
-fn on_the_device(engine: &GpuEngine, test_case: &TestCase) -> Result<Got, GpuError> {
-    let loss_inputs = test_case.loss_inputs();
-    let work = &mut engine.device.work();
-    let cloud = Arc::new(Cloud::upload(work, &Splats::default())?);
-    let (on, _) = bin(work, cloud, &test_case.camera, &test_case.pose, &ProjectOptions::default(), None)?;
-    let frame = &test_case.frame;
-    let image = work.upload("the image", &pack_image(&frame.image, 0, 1, Some(&frame.alpha)))?;
-    let photo = GpuPhoto::upload(work, &test_case.target)?;
-    let inputs = ComparisonInputs::upload(work, &loss_inputs)?;
-    let odds = |sure: &f32| (sure / (1.0 - sure)).ln();
-    let map: Vec<f32> = test_case.map.iter().flat_map(|map| map.data.iter().map(odds)).collect();
-    let maps = work.upload("the visibility map", &map)?;
-    let seen =
-        |map: &Image| Visible { maps: &maps, position: 0, size: [map.width, map.height], decides: true };
-    let visible = test_case.map.as_ref().map(seen);
-    let graded = compare(work, &on.view, &image, &photo, &inputs, &loss_inputs, visible.as_ref())?;
-    let Graded { shown, smoothed, weights, grads, error, blames } = graded;
-    let n = test_case.target.pixels.len();
-    let results = StepReadback::read(work, &inputs.results, &on.found)?.results(&loss_inputs);
-    Ok(Got {
-        shown: work.read(&shown, 4 * n)?,
-        smoothed: work.read(&smoothed, n)?,
-        weights: work.read(&weights, n)?,
-        grads: work.read(&grads, 4 * n)?,
-        error: work.read(&error, n)?,
-        blames: match blames {
-            Some(blames) => Some(work.read(&blames, map.len())?),
-            None => None,
-        },
-        results,
-    })
 }

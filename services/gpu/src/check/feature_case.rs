@@ -25,9 +25,9 @@ pub struct FeatureCase {
 /// A test case with random numbers.
 pub struct FeatureCaseData {
     target: Image,
-    pub(super) validity: Vec<f32>,
+    pub validity: Vec<f32>,
     average: AreaAverage,
-    pub(super) pixels: Vec<u32>,
+    pub pixels: Vec<u32>,
     membership: Membership,
 }
 

@@ -1,12 +1,11 @@
 //! Checks the feature field's kernels against the host's losses and optimiser.
 
-use super::feature_case::{FeatureCase, FeatureCaseData};
+use super::feature_case::FeatureCase;
 use super::{KernelCheck, SIZE, SPLATS, Tolerance};
-use crate::field::{GpuFeatureTarget, GpuField, GpuRows};
-use crate::view::{at_once, gathered_at_once, pack_image, pack_splats, parts_of, unpack_image};
-use crate::{GpuEngine, GpuError};
+use crate::GpuEngine;
+use crate::probe::{FieldGradients, RowSteps};
 use segwild_objective::FieldBackend;
-use segwild_objective::field::{DeviceRefinement, FieldRule, Lifting, Queries, RowAdam, dot, score};
+use segwild_objective::field::{FieldRule, Lifting, Queries, RowAdam, dot, score};
 use segwild_raster::{Channels, Kept, Projected, RasterError};
 use segwild_scene::{Image, Random};
 
@@ -44,7 +43,7 @@ fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, 
     let values: Vec<f32> = (0..ROW * SPLATS).map(|_| random.uniform() - 0.5).collect();
     let mut wanted = values.clone();
     let channels = Channels { count: ROW, values: &values };
-    let on_device = GpuRows::upload(&engine.device, &channels, RULE.rate, at_once(ROW))?;
+    let mut on_device = RowSteps::upload(engine, &channels, RULE.rate)?;
     let mut adam = RowAdam::new(SPLATS, ROW, RULE.rate);
     for step in 0..4 {
         let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
@@ -58,12 +57,7 @@ fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, 
         }
         let grads = view.gather(&grad)?;
         adam.step(&mut wanted, &grads);
-        let (mut work, blocks) = (engine.device.work(), gathered_at_once(ROW));
-        let parts = (0..ROW)
-            .step_by(4 * blocks)
-            .map(|first| work.upload("gradients", &pack_splats(&grads, SPLATS, ROW, first, blocks, false)));
-        let parts = parts.collect::<Result<Vec<_>, GpuError>>()?;
-        on_device.step(&mut work, &parts, blocks)?;
+        on_device.step(&grads)?;
     }
     let (mut sums, mut right) = (Lifting::new(SPLATS, ROW), Lifting::new(SPLATS, ROW));
     sums.settle(engine)?;
@@ -125,7 +119,7 @@ fn compared(
 ) -> Result<Result<(), String>, RasterError> {
     let random = &mut Random::new(7);
     let mut right = case.refining(vec![0.0; case.channels], rule);
-    let on_device = GpuField::upload(&engine.device, &right)?;
+    let mut on_device = FieldGradients::upload(engine, &right)?;
     let mut same = Ok(());
     for step in 0..3 {
         let mut made = case.make(random);
@@ -142,7 +136,7 @@ fn compared(
             made.pixels.clear();
         }
         let wanted = right.compute_losses(&image, &made.feature_target(), &made.sampled_pixels());
-        let got = field_gradients(engine, &on_device, &image, &made)?;
+        let got = on_device.of(&image, &made.feature_target(), &made.sampled_pixels())?;
         let (losses, found) = (right.losses()?, on_device.losses()?);
         let losses = [losses.embedding, losses.compact];
         same = same
@@ -152,35 +146,6 @@ fn compared(
     let (got, wanted) = (on_device.fetch()?.decoder, right.finish()?.decoder);
     let (got, wanted) = (got.unwrap_or_default(), wanted.unwrap_or_default());
     Ok(same.and_then(|()| alike(Tolerance::GRADIENTS, "the decoder", &got, &wanted)))
-}
-
-/// Gradients of an image, computed on the device.
-fn field_gradients(
-    engine: &GpuEngine,
-    field: &GpuField,
-    image: &Image,
-    made: &FeatureCaseData,
-) -> Result<Image, RasterError> {
-    let mut work = engine.device.work();
-    let feature_target = GpuFeatureTarget::upload(&engine.device, &mut work, &made.feature_target())?;
-    let step = field.start(&mut work, &feature_target, &made.sampled_pixels())?;
-    let (pixels, count) = (image.pixels(), image.channels);
-    for first in parts_of(count) {
-        let blocks = at_once(count);
-        let part = work.upload("the image", &pack_image(image, first, blocks, None))?;
-        step.take(&mut work, first / 4, blocks, &part);
-    }
-    step.compute_losses(&mut work)?;
-    let mut out = Image::zeros(image.width, image.height, count);
-    let blocks = gathered_at_once(count);
-    for first in (0..count).step_by(4 * blocks) {
-        let part = step.gradients(&mut work, first / 4, blocks)?;
-        let grads: Vec<f32> = work.read(&part, 4 * blocks * pixels)?;
-        unpack_image(&grads, 4 * blocks, first, &mut out);
-    }
-    // No row learns, but the losses are kept.
-    step.finish(&mut work, &[], blocks)?;
-    Ok(out)
 }
 
 /// Compares numbers that may be NaN, in both.

@@ -12,16 +12,14 @@ pub use feature_case::{FeatureCase, FeatureCaseData};
 pub use networks::networks;
 pub use training::{held, held_with_embeddings, training};
 
-use crate::device::DeviceWork;
-use crate::engine::{BUCKET, Binned, Cloud, TILE, bin, scan, sort};
+use crate::probe::{ViewLists, running_sums, sorted, view_lists};
 use crate::{GpuEngine, GpuError};
 use glam::Vec3;
 use segwild_raster::{
-    ALPHA_MAX, ALPHA_MIN, Channels, CpuEngine, FrameGrad, ProjectOptions, Projected, RasterError, Rasterizer,
-    SplatGrads,
+    ALPHA_MAX, ALPHA_MIN, Channels, CpuEngine, Frame, FrameGrad, ProjectOptions, Projected, RasterError,
+    Rasterizer, SplatGrads,
 };
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
-use std::sync::Arc;
 
 /// How far numbers may lie apart, in units of their size plus the array's root mean square.
 #[derive(Clone, Copy, Debug)]
@@ -89,8 +87,7 @@ const ALONE: usize = 40;
 /// Splats that go through networks: more than one piece of them.
 const FEW: usize = 500;
 /// Projection options.
-pub(crate) const OPTIONS: ProjectOptions =
-    ProjectOptions { low_pass: 0.3, antialias: true, near: segwild_scene::NEAR };
+const OPTIONS: ProjectOptions = ProjectOptions { low_pass: 0.3, antialias: true, near: segwild_scene::NEAR };
 
 /// Some of the kernels, compared.
 pub type Stage = fn(&GpuEngine) -> Result<Vec<KernelCheck>, RasterError>;
@@ -110,12 +107,11 @@ pub fn check(engine: &GpuEngine) -> Result<Vec<KernelCheck>, RasterError> {
 
 /// Compares running sums and the sort.
 pub fn check_sums(engine: &GpuEngine) -> Result<Vec<KernelCheck>, RasterError> {
-    let mut work = engine.device.work();
     let checked = |kernels, off: Result<(), String>| KernelCheck { kernels, off: off.err() };
     Ok(vec![
         // Over three levels of blocks.
-        checked(&["scan", "scan_add"], sums(&mut work, (1 << 20) + 7)?),
-        checked(&["histogram", "scatter"], sorted(&mut work, 70_000, u32::BITS)?),
+        checked(&["scan", "scan_add"], sums(engine, (1 << 20) + 7)?),
+        checked(&["histogram", "scatter"], sort(engine, 70_000, u32::BITS)?),
     ])
 }
 
@@ -124,12 +120,7 @@ pub fn check_view(engine: &GpuEngine) -> Result<Vec<KernelCheck>, RasterError> {
     let mut checked = Vec::new();
     let mut add = |kernels, off: Result<(), String>| checked.push(KernelCheck { kernels, off: off.err() });
     let (splats, camera, pose) = scene();
-    let mut work = engine.device.work();
-    let cloud = Arc::new(Cloud::upload(&mut work, &splats)?);
-    let (binned, seen) = bin(&mut work, cloud, &camera, &pose, &OPTIONS, None)?;
-    let seen: Vec<[f32; 4]> = work.read(&seen, splats.len())?;
-    let lists = Lists::read(&mut work, &binned, splats.len(), &seen)?;
-    drop(work);
+    let lists = Lists::of(view_lists(engine, &splats, &camera, &pose, &OPTIONS)?);
     let cpu = CpuEngine::new();
     let right = cpu.project(&splats, &camera, &pose, &OPTIONS)?;
     let found = engine.project(&splats, &camera, &pose, &OPTIONS)?;
@@ -216,25 +207,27 @@ fn scene() -> (Splats, Camera, Pose) {
 }
 
 /// Running sums of so many numbers.
-pub(crate) fn sums(work: &mut DeviceWork, count: usize) -> Result<Result<(), String>, GpuError> {
+fn sums(engine: &GpuEngine, count: usize) -> Result<Result<(), String>, GpuError> {
     let mut random = Random::new(3);
     let numbers: Vec<u32> = (0..count).map(|_| random.below(4) as u32).collect();
-    let data = work.upload("numbers", &numbers)?;
-    scan(work, &data, count)?;
     let before = |sum: &mut u32, n: &u32| Some(std::mem::replace(sum, *sum + *n));
-    Ok(equal("running sums", &work.read::<u32>(&data, count)?, numbers.iter().scan(0, before)))
+    Ok(equal("running sums", &running_sums(engine, &numbers)?, numbers.iter().scan(0, before)))
 }
 
 /// So many items sorted by keys of so many bits, of which many are equal.
-pub(crate) fn sorted(work: &mut DeviceWork, count: usize, bits: u32) -> Result<Result<(), String>, GpuError> {
+fn sort(engine: &GpuEngine, count: usize, bits: u32) -> Result<Result<(), String>, GpuError> {
     let mut random = Random::new(count as u64);
     let keys: Vec<u32> = (0..count).map(|_| (random.bits() as u32) >> (u32::BITS - bits) & !6).collect();
-    let items: Vec<u32> = (0..count as u32).collect();
-    let (held, order) = (work.upload("keys", &keys)?, work.upload("items", &items)?);
-    let (_, order) = sort(work, held, order, count, bits)?;
-    let mut wanted = items;
-    wanted.sort_by_key(|&i| keys[i as usize]);
-    Ok(equal("sorted items", &work.read::<u32>(&order, count)?, wanted.into_iter()))
+    let mut items: Vec<u32> = (0..count as u32).collect();
+    let order = sorted(engine, &keys, &items, bits)?;
+    items.sort_by_key(|&i| keys[i as usize]);
+    Ok(equal("sorted items", &order, items.into_iter()))
+}
+
+/// Colour and alpha, pixel by pixel, as the device holds them.
+fn interleaved(frame: &Frame) -> Vec<f32> {
+    let planes = [frame.image.plane(0), frame.image.plane(1), frame.image.plane(2), &frame.alpha.data];
+    (0..frame.alpha.data.len()).flat_map(|i| planes.map(|plane| plane[i])).collect()
 }
 
 fn equal(what: &str, got: &[u32], wanted: impl Iterator<Item = u32>) -> Result<(), String> {
@@ -290,15 +283,10 @@ struct Lists {
 }
 
 impl Lists {
-    fn read(work: &mut DeviceWork, on: &Binned, splats: usize, seen: &[[f32; 4]]) -> Result<Lists, GpuError> {
-        Ok(Lists {
-            footprints: work.read(&on.footprints, splats)?,
-            depths: seen.iter().map(|s| s[0]).collect(),
-            radii: seen.iter().map(|s| s[1]).collect(),
-            entries: work.read(&on.entries, on.pairs)?,
-            tiles: work.read(&on.tiles, on.tile_count)?,
-            buckets: work.read(&on.buckets, on.bucket_bound)?,
-        })
+    fn of(lists: ViewLists) -> Lists {
+        let ViewLists { footprints, seen, entries, tiles, buckets } = lists;
+        let (depths, radii) = seen.iter().map(|s| (s[0], s[1])).unzip();
+        Lists { footprints, depths, radii, entries, tiles, buckets }
     }
 
     /// Opacity of a splat at the centre of a pixel; 0 of a culled one.
@@ -327,7 +315,7 @@ impl Lists {
     /// Whether each tile has the splats that reach it, each once, nearest first.
     fn tiles_are_right(&self) -> Result<(), String> {
         let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
-        let side = TILE as usize;
+        let side = ViewLists::TILE;
         let columns = width.div_ceil(side);
         for (tile, &[from, to, ..]) in self.tiles.iter().enumerate() {
             let Some(entries) = self.entries.get(from as usize..to as usize) else {
@@ -365,8 +353,10 @@ impl Lists {
             if to as usize > self.entries.len() {
                 return Err(format!("tile {tile} ends at entry {to} of {}", self.entries.len()));
             }
-            let entries = (from..to).step_by(BUCKET);
-            wanted.extend(entries.map(|entry| [tile as u32, entry, (BUCKET as u32).min(to - entry), 0]));
+            let entries = (from..to).step_by(ViewLists::BUCKET);
+            wanted.extend(
+                entries.map(|entry| [tile as u32, entry, (ViewLists::BUCKET as u32).min(to - entry), 0]),
+            );
         }
         wanted.resize(self.buckets.len().max(wanted.len()), [0; 4]);
         match self.buckets.iter().zip(&wanted).position(|(found, wanted)| found != wanted) {

@@ -3,7 +3,7 @@
 use super::{KernelCheck, Tolerance};
 use crate::GpuEngine;
 use crate::GpuError;
-use crate::nets::{GpuNetworks, GpuTape, GpuWeights, NetworkLighting, NetworkPlan};
+use crate::probe::{LightingPasses, LightingResults, UploadedNetworks, run_network};
 use segwild_nn::{Conv, Form, Map, NetworkGraph, Op, OpKind, WeightLayout};
 use segwild_objective::gsw::{BELOW, EMBEDDING_SIZE, LAYER, Networks};
 use segwild_objective::{Appearance, GswAppearance, GswWidth, NetworksStep, Rule, VisibleSplats};
@@ -115,9 +115,7 @@ fn network(
     results: &[usize],
 ) -> Result<Vec<KernelCheck>, GpuError> {
     let random = &mut Random::new(33);
-    let image = [given[0].height, given[0].width];
-    let numbers: Vec<f32> = given.iter().flat_map(|map| map.data.iter().copied()).collect();
-    let right = graph.forward(&weights, given);
+    let right = graph.forward(&weights, given.clone());
     let pull = |&id: &usize| {
         let data = noise(random, right.of(id).data.len());
         (id, Map { data, ..right.of(id).clone() })
@@ -126,25 +124,8 @@ fn network(
     let mut wanted = vec![0.0; weights.len()];
     graph.backward(&weights, &right, pulls.clone(), &mut wanted);
 
-    let plan = NetworkPlan::of(graph, image);
-    let work = &mut engine.device.work();
-    let values = work.upload("weights", &weights)?;
-    let grads = work.upload("gradients", &vec![0.0f32; weights.len()])?;
-    let any = work.upload("splats in sight", &[0u32])?;
-    let up = work.upload("inputs of the network", &numbers)?;
-    let mut held = Vec::new();
-    for (id, map) in &pulls {
-        held.push((*id, map.data.len(), work.upload("gradients", &map.data)?));
-    }
-    let tape = GpuTape::new(work, &plan)?;
-    work.copy_to(&up, &tape.maps, 0, 4 * numbers.len());
-    tape.forward(work, &plan, &values, &any, 0);
-    for (id, numbers, pull) in held {
-        work.copy_to(&pull, &tape.grads, 4 * plan.position(id), 4 * numbers);
-    }
-    tape.backward(work, &plan, GpuWeights { values: &values, grads: &grads }, &any, 0);
-    let maps: Vec<f32> = work.read(&tape.maps, plan.maps())?;
-    let got: Vec<f32> = work.read(&grads, weights.len())?;
+    let run = run_network(engine, graph, &weights, &given, &pulls)?;
+    let got = &run.weight_grads;
 
     let mut checked = Vec::new();
     let ops = graph.ops();
@@ -157,7 +138,7 @@ fn network(
             OpKind::Join(_) | OpKind::Beside(_) => &["join"],
         };
         let map = &right.of(op.to).data;
-        let got = &maps[plan.position(op.to)..][..map.len()];
+        let got = run.map(op.to, map.len());
         let off = MAPS.compare(&format!("map {}", op.to), got, map).err();
         checked.push(KernelCheck { kernels, off });
     }
@@ -226,31 +207,20 @@ fn lighting(
     let rules = [Rule { beta1: 0.9, beta2: 0.999, rate: 0.0, epsilon: 1e-8 }; 2];
     let unet_input = draw.and_then(|draw| appearance.unet_input(0, draw));
     let step = NetworksStep { unet_input, draw: draw.unwrap_or(0), decides: false, rules };
-    let work = &mut engine.device.work();
-    let held = GpuNetworks::upload(work, &appearance.held())?;
-    let wide = |values: &[f32]| -> Vec<[f32; 4]> {
-        values.chunks_exact(3).map(|v| [v[0], v[1], v[2], 1.0]).collect()
-    };
-    let seen: Vec<[f32; 4]> = radii.iter().map(|&radius| [1.0, radius, 0.0, 0.0]).collect();
-    let means: Vec<[f32; 4]> = splats.means.iter().map(|&[x, y, z]| [x, y, z, 0.0]).collect();
-    let seen = work.upload("depths and radii", &seen)?;
-    let means = work.upload("centres", &means)?;
-    let on_device = work.upload("embeddings", &splat_embeddings)?;
     let blames: Vec<f32> = blame.iter().map(|blame| blame.unwrap_or(-1.0)).collect();
-    let blamed = match blames.is_empty() {
-        true => None,
-        false => Some(work.upload("blames", &blames)?),
-    };
-    let by_colour = work.upload("gradients", &wide(&grad))?;
-    let shown = work.upload("colours", &wide(&below))?;
-    let lighting = NetworkLighting::upload(work, &held, &step, eye, n, PIECE)?;
-    lighting.tint(work, &seen, &means, &on_device, &shown)?;
-    let by_device = work.take::<f32>("gradients of the embeddings", n * EMBEDDING_SIZE)?;
-    work.clear(&by_device);
-    lighting.backward(work, &by_colour, (&means, &on_device), &by_device, blamed.as_ref())?;
-    let shown: Vec<[f32; 4]> = work.read(&shown, n)?;
-    let by_device: Vec<f32> = work.read(&by_device, n * EMBEDDING_SIZE)?;
-    let weights: Vec<f32> = work.read(&lighting.weight_grads, held.len())?;
+    let networks = UploadedNetworks::upload(engine, &appearance.held())?;
+    let known = (splats.means.as_slice(), radii);
+    let passes = LightingPasses::upload(
+        engine,
+        &networks,
+        &step,
+        eye,
+        known,
+        (&splat_embeddings, &below),
+        Some(PIECE),
+    );
+    let LightingResults { colours: shown, embedding_grads: by_device, weight_grads: weights } =
+        passes?.results(&grad, (!blames.is_empty()).then_some(blames.as_slice()))?;
 
     let visible: Vec<usize> = (0..n).filter(|&i| radii[i] > 0.0).collect();
     let shown: Vec<f32> = visible.iter().flat_map(|&i| &shown[i][..3]).copied().collect();
@@ -263,9 +233,10 @@ fn lighting(
             .copied()
             .collect()
     };
-    let border = held.nets().border;
+    let nets = Networks::of(GswWidth::Cpu);
+    let border = nets.border;
     // Gradients of the visibility head are far smaller than the others.
-    let layers = held.nets().layout.layers();
+    let layers = nets.layout.layers();
     let head =
         layers.iter().find(|layer| layer.name.starts_with("visible")).map_or(border, |l| l.weights.start);
     let compare =

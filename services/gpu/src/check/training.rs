@@ -1,13 +1,11 @@
 //! Checks the kernels of training: one step on the device against the same step on the host.
 
-use super::{KernelCheck, Tolerance};
-use crate::compare::{StepReadback, results_buffer};
-use crate::training::GpuTraining;
-use crate::view::pack_image;
-use crate::{GpuEngine, GpuError};
+use super::{KernelCheck, Tolerance, interleaved};
+use crate::GpuEngine;
+use crate::probe::{TrainedStep, training_step};
 use segwild_objective::{
-    Adam, Appearance, EmbedAppearance, EmbedLight, Held, OptimiserRules, Reshaped, Resident, Rule,
-    SplatEmbeddings,
+    Adam, Appearance, EmbedAppearance, EmbedLight, Held, OptimiserRules, Reshaped, Rule, SplatEmbeddings,
+    TrainingBackend,
 };
 use segwild_raster::{Channels, CpuEngine, Frame, FrameGrad, ProjectOptions, RasterError, Rasterizer};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
@@ -75,11 +73,9 @@ pub fn training(
     let light = (!held.splat_embeddings.values.is_empty()).then(|| appearance.photo(0));
     let (frame, wanted, by_light) =
         on_the_host(held, camera, pose, options, &grad, &error, &rules, &appearance)?;
-    let mut on_device = GpuTraining::new(&engine.device, &engine.photos_on_device, held)?;
-    let (rendered, lit) =
-        on_the_device(engine, &on_device, camera, pose, options, light.as_ref(), &grad, &error, &rules)?;
-    let got = on_device.fetch()?;
-    let wide = pack_image(&frame.image, 0, 1, Some(&frame.alpha));
+    let TrainedStep { rendered, light: lit, held: got } =
+        training_step(engine, held, (camera, pose, options), light.as_ref(), (&grad, &error), &rules)?;
+    let wide = interleaved(&frame);
     let blended = Tolerance::BLENDED.compare("colours and alpha", &rendered, &wide);
     let sums = Tolerance::GRADIENTS.compare("sums", got.sums.as_flattened(), wanted.sums.as_flattened());
     type SplatArray = fn(&Splats) -> &[f32];
@@ -174,7 +170,9 @@ fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), String>, Raste
         },
         networks: held.networks.clone(),
     };
-    let mut on_device = GpuTraining::new(&engine.device, &engine.photos_on_device, held)?;
+    let Some(mut on_device) = engine.settle(&mut || held.clone())? else {
+        return Err(RasterError::Shape("the splats do not fit where they are trained".into()));
+    };
     let shapes_before = on_device.shapes()?;
     let parents = parents.iter().map(|&i| i as u32).collect();
     if !on_device.reshape(&Reshaped { shapes, parents, forgotten, opacities_forgotten: true })? {
@@ -190,30 +188,7 @@ fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), String>, Raste
     })
 }
 
-/// A step on the device by these gradients: the rendered colour and alpha, and the gradient of the photo's parameters.
-#[expect(clippy::too_many_arguments, reason = "a whole step of training")]
-fn on_the_device(
-    engine: &GpuEngine,
-    on_device: &GpuTraining,
-    camera: &Camera,
-    pose: &Pose,
-    options: &ProjectOptions,
-    light: Option<&EmbedLight>,
-    grad: &FrameGrad,
-    error: &Image,
-    rules: &OptimiserRules,
-) -> Result<(Vec<f32>, Option<EmbedLight>), GpuError> {
-    let work = &mut engine.device.work();
-    let by_image = work.upload("the image's gradients", &pack_image(grad.image, 0, 1, grad.alpha))?;
-    let error = work.upload("the errors", &error.data)?;
-    let (groups, results) = (on_device.groups(work, rules, None)?, results_buffer(work)?);
-    let rendered = on_device.draw(work, camera, pose, options, light.map(|light| (light, None)), None)?;
-    on_device.learn(work, &rendered, (&by_image, &error, None), &groups, &results)?;
-    let readback = StepReadback::read(work, &results, &rendered.on.found)?;
-    Ok((work.read(&rendered.image, rendered.on.pixels * 4)?, light.map(|_| readback.light())))
-}
-
-/// The same step by the CPU engine: the render, the state afterwards, and the gradient of the photo's parameters.
+/// A step by the CPU engine: the render, the state afterwards, and the gradient of the photo's parameters.
 #[expect(clippy::too_many_arguments, reason = "a whole step of training")]
 fn on_the_host(
     held: &Held,

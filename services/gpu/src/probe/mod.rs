@@ -1,0 +1,34 @@
+//! The engine's passes one by one, on numbers of the host: what a self-test compares with the host's, and what a
+//! benchmark submits repeatedly. No run uses them.
+//!
+//! Values that hold passes ([`DevicePasses`]) have the device to themselves until they are dropped: whoever wants it
+//! meanwhile waits, the same thread included.
+
+mod field;
+mod losses;
+mod networks;
+mod rates;
+mod sums;
+mod training;
+mod view;
+
+pub use field::{FieldGradients, FieldPasses, RowSteps, SimilarityPasses};
+pub use losses::{ComparedOnDevice, LossPasses};
+pub use networks::{
+    LightingPasses, LightingResults, NetworkRun, UploadedNetworks, networks_floor, run_network,
+};
+pub use rates::RatePasses;
+pub use sums::{running_sums, sorted};
+pub use training::{AdamPasses, TrainedStep, training_step};
+pub use view::{PassCounts, ViewLists, ViewPasses, view_lists};
+
+use crate::GpuError;
+
+/// Passes over inputs that lie on the device; each is recorded, and submitted with those before it.
+pub trait DevicePasses {
+    /// Submits what was recorded, and waits until all of it is done.
+    ///
+    /// # Errors
+    /// When the device failed.
+    fn wait(&mut self) -> Result<(), GpuError>;
+}
