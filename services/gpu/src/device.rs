@@ -278,16 +278,6 @@ impl DeviceWork<'_> {
         self.device.budget()
     }
 
-    /// As [`GpuDevice::start_clock`].
-    pub fn start_clock(&self) {
-        self.device.start_clock();
-    }
-
-    /// As [`GpuDevice::stop_clock`].
-    pub fn stop_clock(&self) -> BTreeMap<&'static str, f64> {
-        self.device.stop_clock()
-    }
-
     /// Uploads items.
     pub fn upload<T: Pod>(&mut self, what: &'static str, items: &[T]) -> Result<PooledBuffer, GpuError> {
         // Uploads overtake work that has not been submitted, and such work may still use the buffer.

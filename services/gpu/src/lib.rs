@@ -29,7 +29,6 @@ mod optimiser;
 mod passes;
 pub mod probe;
 mod shaders;
-mod speed;
 mod training;
 mod view;
 
@@ -37,15 +36,11 @@ pub use adapter::{Adapter, AdapterChoice, adapters};
 pub use check::{
     FeatureCase, FeatureCaseData, KernelCheck, STAGES, Stage, TestCase, Tolerance, check, check_comparison,
     check_field, check_networks, check_splats, compared, gradients, held, held_with_embeddings, projected,
-    test_cases, training as check_training,
+    some_appearance, test_cases, training as check_training,
 };
 pub use engine::GpuEngine;
 pub use memory::{LEAST_PHOTOS, training_bytes};
 pub use shaders::{KERNELS, Kernel, source};
-pub use speed::{
-    CLICKS, FIELD_RULE, LOSSES, NETWORKS, PassTime, Reach, SIMILARITY, STEP, reach, some_appearance,
-    some_feature_case, speed,
-};
 
 /// Why the accelerator engine refused, or stopped.
 #[derive(Debug, Clone, thiserror::Error)]

@@ -2,15 +2,15 @@
 
 use super::goal::{Goal, train};
 use super::record::{KERNEL, record};
+use super::speed::{CLICKS, FIELD_RULE, LOSSES, NETWORKS, SIMILARITY, reach, some_feature_case, speed};
+use super::timing::Reach;
 use crate::page::PageError;
 use crate::scale::kernels::filling;
 use glam::Vec3;
 use rayon::prelude::*;
 use segwild_eval::record::{Provenance, Record, Results};
-use segwild_gpu::{
-    AdapterChoice, CLICKS, FIELD_RULE, GpuEngine, LOSSES, NETWORKS, Reach, SIMILARITY, reach,
-    some_appearance, some_feature_case, speed,
-};
+use segwild_gpu::some_appearance;
+use segwild_gpu::{AdapterChoice, GpuEngine};
 use segwild_objective::field::{Queries, score};
 use segwild_objective::{Appearance, VisibleSplats};
 use segwild_raster::{Channels, CpuEngine, FrameGrad, ProjectOptions, RasterError, Rasterizer};

@@ -4,9 +4,11 @@ mod goal;
 mod measure;
 mod page;
 mod record;
+mod speed;
+mod timing;
 
 pub use goal::Goal;
 pub use measure::{EngineOptions, engine};
 pub use page::{markdown, write};
 pub use record::PROTOCOL;
-pub use segwild_gpu::STEP;
+pub use speed::STEP;

@@ -1,11 +1,11 @@
 //! The page: every pass of every target.
 
 use super::record::KERNEL;
+use super::speed::STEP;
 use crate::page::{PageError, io};
 use segwild_eval::record::{Record, Results};
 use segwild_eval::stamp::{self, providers};
 use segwild_flow::files;
-use segwild_gpu::STEP;
 use std::fmt::Write as _;
 use std::path::Path;
 

@@ -9,7 +9,7 @@ mod training;
 
 pub use compare::{TestCase, compared, test_cases};
 pub use feature_case::{FeatureCase, FeatureCaseData};
-pub use networks::networks;
+pub use networks::{networks, some_appearance};
 pub use training::{held, held_with_embeddings, training};
 
 use crate::probe::{ViewLists, running_sums, sorted, view_lists};

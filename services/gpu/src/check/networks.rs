@@ -42,6 +42,19 @@ fn draw_of(appearance: &GswAppearance, whole: bool) -> u64 {
     (0..1000).find(is).expect("one in a thousand")
 }
 
+/// An appearance model `gsw` with one square photo of a camera, at the size of the UNet's input, and a step that reads
+/// its light.
+pub fn some_appearance(camera: &Camera, pose: &Pose) -> (GswAppearance, u64) {
+    let mut appearance = GswAppearance::new(1, 1, GswWidth::Cpu);
+    let side = Networks::of(GswWidth::Cpu).side;
+    let colour = |i: usize| Some([i % side, i / side, 7].map(|n| n as f32 / side as f32));
+    let image_conditioning = appearance.image_conditioning((side, side), camera, pose, colour);
+    appearance.set_image_conditioning(0, image_conditioning);
+    let draw =
+        (0..1000).find(|&draw| appearance.unet_input(0, draw).is_some_and(|unet_input| unet_input.whole));
+    (appearance, draw.expect("one in a thousand"))
+}
+
 /// Compares the networks of splats in sight of a camera, and of a photo.
 pub fn networks(
     engine: &GpuEngine,

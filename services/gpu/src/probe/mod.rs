@@ -4,6 +4,7 @@
 //! Values that hold passes ([`DevicePasses`]) have the device to themselves until they are dropped: whoever wants it
 //! meanwhile waits, the same thread included.
 
+mod clock;
 mod field;
 mod losses;
 mod networks;
@@ -12,6 +13,7 @@ mod sums;
 mod training;
 mod view;
 
+pub use clock::{start_clock, stop_clock, wait};
 pub use field::{FieldGradients, FieldPasses, RowSteps, SimilarityPasses};
 pub use losses::{ComparedOnDevice, LossPasses};
 pub use networks::{
