@@ -422,7 +422,7 @@ mod tests {
 
     #[test]
     fn running_sums_go_over_three_levels_of_blocks() {
-        for engine in crate::common::either_way("running_sums_go_over_three_levels_of_blocks") {
+        for engine in crate::test_adapter::either_way("running_sums_go_over_three_levels_of_blocks") {
             let by = engine.adapter().subgroups;
             for count in [1, 1023, 1024, 1025, BLOCK * BLOCK + 7] {
                 let mut random = Random::new(3);
@@ -437,7 +437,8 @@ mod tests {
 
     #[test]
     fn a_running_sum_that_does_not_fit_stays_at_the_largest_number() {
-        for engine in crate::common::either_way("a_running_sum_that_does_not_fit_stays_at_the_largest_number")
+        for engine in
+            crate::test_adapter::either_way("a_running_sum_that_does_not_fit_stays_at_the_largest_number")
         {
             let by = engine.adapter().subgroups;
             let sums_of = |numbers: &[u32]| running_sums(engine, numbers).expect("it runs");
@@ -454,7 +455,7 @@ mod tests {
 
     #[test]
     fn the_sort_keeps_the_order_of_equal_keys() {
-        for engine in crate::common::either_way("the_sort_keeps_the_order_of_equal_keys") {
+        for engine in crate::test_adapter::either_way("the_sort_keeps_the_order_of_equal_keys") {
             let by = engine.adapter().subgroups;
             for (count, bits) in [(0, 8), (1, 4), (1024, 4), (5000, 13), (70_000, 32)] {
                 let mut random = Random::new(count as u64);
@@ -471,7 +472,7 @@ mod tests {
     #[test]
     fn an_array_that_cannot_be_bound_is_refused_with_its_size() {
         let test = "an_array_that_cannot_be_bound_is_refused_with_its_size";
-        let Some(engine) = crate::common::engine(test) else { return };
+        let Some(engine) = crate::test_adapter::engine(test) else { return };
         let most = engine.adapter().binding as usize;
         let error = engine.device.work().take::<u8>("the image", most + 16).err().expect("it is too long");
         let text = error.to_string();

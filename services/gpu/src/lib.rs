@@ -12,11 +12,7 @@
 extern crate self as segwild_gpu;
 
 mod adapter;
-mod check;
 mod clock;
-#[cfg(test)]
-#[path = "../tests/common/mod.rs"]
-mod common;
 mod compare;
 mod device;
 mod engine;
@@ -29,15 +25,13 @@ mod optimiser;
 mod passes;
 pub mod probe;
 mod shaders;
+#[cfg(test)]
+#[path = "../tests/adapter/mod.rs"]
+mod test_adapter;
 mod training;
 mod view;
 
 pub use adapter::{Adapter, AdapterChoice, adapters};
-pub use check::{
-    FeatureCase, FeatureCaseData, KernelCheck, STAGES, Stage, TestCase, Tolerance, check, check_comparison,
-    check_field, check_networks, check_splats, compared, gradients, held, held_with_embeddings, projected,
-    some_appearance, test_cases, training as check_training,
-};
 pub use engine::GpuEngine;
 pub use memory::{LEAST_PHOTOS, training_bytes};
 pub use shaders::{KERNELS, Kernel, source};

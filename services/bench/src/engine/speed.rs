@@ -9,7 +9,6 @@ use segwild_gpu::probe::{
     AdamPasses, FieldPasses, LightingPasses, LossPasses, RatePasses, SimilarityPasses, UploadedNetworks,
     ViewPasses, networks_floor, start_clock, stop_clock, wait,
 };
-use segwild_gpu::{FeatureCase, some_appearance};
 use segwild_gpu::{GpuEngine, GpuError};
 use segwild_objective::compare::{LeaveOut, LossInputs, PhotoTarget};
 use segwild_objective::field::{FieldRule, Queries};
@@ -19,6 +18,7 @@ use segwild_objective::{
 };
 use segwild_raster::{Channels, Frame, ProjectOptions, RasterError};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
+use segwild_selftest::{FeatureCase, some_appearance};
 use std::time::Instant;
 
 /// Operations of one splat at one pixel: footprint and blending, and the additions of a vec4 of channels and of the

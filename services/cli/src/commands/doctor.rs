@@ -5,8 +5,9 @@ use crate::args::{self, examples, flag, json};
 use crate::exit;
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command};
-use segwild_gpu::{Adapter, AdapterChoice, GpuEngine, check};
+use segwild_gpu::{Adapter, AdapterChoice, GpuEngine};
 use segwild_pipeline::{RunSettings, Settings, choose_engine};
+use segwild_selftest::check;
 use segwild_vision::{ModelFile, Providers, Runtime, VisionSettings, models_in};
 use std::path::PathBuf;
 

@@ -10,11 +10,11 @@ mod training;
 pub use compare::{TestCase, compared, test_cases};
 pub use feature_case::{FeatureCase, FeatureCaseData};
 pub use networks::{networks, some_appearance};
-pub use training::{held, held_with_embeddings, training};
+pub use training::{held, held_with_embeddings, training as check_training};
 
-use crate::probe::{ViewLists, running_sums, sorted, view_lists};
-use crate::{GpuEngine, GpuError};
 use glam::Vec3;
+use segwild_gpu::probe::{ViewLists, running_sums, sorted, view_lists};
+use segwild_gpu::{GpuEngine, GpuError};
 use segwild_raster::{
     ALPHA_MAX, ALPHA_MIN, Channels, CpuEngine, Frame, FrameGrad, ProjectOptions, Projected, RasterError,
     Rasterizer, SplatGrads,

@@ -8,15 +8,16 @@
 mod common;
 
 use common::{broken, engine, image, many, misled, rules, splats, step, view};
-use segwild_gpu::{
-    AdapterChoice, GpuEngine, LEAST_PHOTOS, STAGES, Tolerance, check, check_training, compared, gradients,
-    held, held_with_embeddings, projected, test_cases, training_bytes,
-};
+use segwild_gpu::{AdapterChoice, GpuEngine, LEAST_PHOTOS, training_bytes};
 use segwild_objective::TrainingBackend;
 use segwild_raster::{
     Channels, CpuEngine, Frame, FrameGrad, ProjectOptions, Projected, RasterError, Rasterizer,
 };
 use segwild_scene::{Camera, Pose, Random, Splats};
+use segwild_selftest::{
+    STAGES, Tolerance, check, check_training, compared, gradients, held, held_with_embeddings, projected,
+    test_cases,
+};
 
 const BLENDED: Tolerance = Tolerance::BLENDED;
 const GRADIENTS: Tolerance = Tolerance::GRADIENTS;

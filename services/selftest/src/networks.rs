@@ -1,9 +1,9 @@
 //! Checks the kernels of the appearance model `gsw`: its networks on the device against those on the host.
 
 use super::{KernelCheck, Tolerance};
-use crate::GpuEngine;
-use crate::GpuError;
-use crate::probe::{LightingPasses, LightingResults, UploadedNetworks, run_network};
+use segwild_gpu::GpuEngine;
+use segwild_gpu::GpuError;
+use segwild_gpu::probe::{LightingPasses, LightingResults, UploadedNetworks, run_network};
 use segwild_nn::{Conv, Form, Map, NetworkGraph, Op, OpKind, WeightLayout};
 use segwild_objective::gsw::{BELOW, EMBEDDING_SIZE, LAYER, Networks};
 use segwild_objective::{Appearance, GswAppearance, GswWidth, NetworksStep, Rule, VisibleSplats};

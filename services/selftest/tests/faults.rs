@@ -1,10 +1,10 @@
-//! Faults planted in the kernels of training. A stage of [`segwild_gpu::check`] must attribute each to the kernel that
+//! Faults planted in the kernels of training. A stage of [`segwild_selftest::check`] must attribute each to the kernel that
 //! has it. Faults of projection and blending are in `parity.rs`, whose comparisons must find them as well.
 
 mod common;
 
 use common::{KernelFault, are_laid_to, engine};
-use segwild_gpu::{check_comparison, check_field, check_networks, check_splats};
+use segwild_selftest::{check_comparison, check_field, check_networks, check_splats};
 
 /// Faults in the kernels of the splats' half of a step.
 const TRAINING_FAULTS: &[KernelFault] = &[

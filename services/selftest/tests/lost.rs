@@ -3,9 +3,10 @@
 mod common;
 
 use common::{engine, image, rules, splats, step, view};
-use segwild_gpu::{AdapterChoice, GpuEngine, held_with_embeddings};
+use segwild_gpu::{AdapterChoice, GpuEngine};
 use segwild_objective::{EmbedAppearance, Engine, FallbackEngine, Held, TrainingBackend};
 use segwild_raster::{Channels, CpuEngine, FrameGrad, ProjectOptions, RasterError, SplatGrads};
+use segwild_selftest::held_with_embeddings;
 use std::sync::{Arc, Mutex};
 
 /// The tests' adapter, whose driver does not compile one kernel.

@@ -1,8 +1,8 @@
 //! Checks the kernels of training: one step on the device against the same step on the host.
 
 use super::{KernelCheck, Tolerance, interleaved};
-use crate::GpuEngine;
-use crate::probe::{TrainedStep, training_step};
+use segwild_gpu::GpuEngine;
+use segwild_gpu::probe::{TrainedStep, training_step};
 use segwild_objective::{
     Adam, Appearance, EmbedAppearance, EmbedLight, Held, OptimiserRules, Reshaped, Rule, SplatEmbeddings,
     TrainingBackend,

@@ -1,9 +1,9 @@
 //! Checks the kernels of the photo's half of a step: losses on the device against those on the host.
 
 use super::{KernelCheck, Tolerance, interleaved};
-use crate::GpuEngine;
-use crate::probe::{ComparedOnDevice, LossPasses};
 use glam::Vec3;
+use segwild_gpu::GpuEngine;
+use segwild_gpu::probe::{ComparedOnDevice, LossPasses};
 use segwild_objective::background;
 use segwild_objective::background::{BASES, BackgroundSums};
 use segwild_objective::compare::{self as host, Compared, LeaveOut, LossInputs, LossOutput, PhotoTarget};

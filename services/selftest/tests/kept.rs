@@ -3,7 +3,7 @@
 mod common;
 
 use common::{engine, image, many, rules, splats, step_with, view};
-use segwild_gpu::{AdapterChoice, GpuEngine, Tolerance, held, some_appearance, training_bytes};
+use segwild_gpu::{AdapterChoice, GpuEngine, training_bytes};
 use segwild_objective::field::{
     AreaAverage, FeatureTarget, FieldRule, LearnedDecoder, Lifting, Membership, Refining, SampledPixels,
 };
@@ -13,6 +13,7 @@ use segwild_objective::{
 };
 use segwild_raster::{Channels, CpuEngine, Frame, Kept, ProjectOptions, Rasterizer};
 use segwild_scene::{Image, Mask, MaskSet, Random, ScoredMask, Splats};
+use segwild_selftest::{Tolerance, held, some_appearance};
 
 const SPLATS: usize = 5000;
 

@@ -3,8 +3,9 @@
 mod common;
 
 use common::{broken_with, either_way, image, misled, splats, view};
-use segwild_gpu::{AdapterChoice, GpuEngine, STAGES, check};
+use segwild_gpu::{AdapterChoice, GpuEngine};
 use segwild_raster::{Channels, FrameGrad, ProjectOptions, Rasterizer};
+use segwild_selftest::{STAGES, check};
 
 #[test]
 fn a_view_is_the_same_by_subgroups_and_without() {

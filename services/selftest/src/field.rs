@@ -2,8 +2,8 @@
 
 use super::feature_case::FeatureCase;
 use super::{KernelCheck, SIZE, SPLATS, Tolerance};
-use crate::GpuEngine;
-use crate::probe::{FieldGradients, RowSteps};
+use segwild_gpu::GpuEngine;
+use segwild_gpu::probe::{FieldGradients, RowSteps};
 use segwild_objective::FieldBackend;
 use segwild_objective::field::{FieldRule, Lifting, Queries, RowAdam, dot, score};
 use segwild_raster::{Channels, Kept, Projected, RasterError};
