@@ -1,6 +1,8 @@
 //! Checks the kernels of the photo's half of a step: losses on the device against those on the host.
 
-use super::{KernelCheck, Tolerance, interleaved};
+use crate::frame::interleaved;
+use crate::kernel_check::KernelCheck;
+use crate::tolerance::Tolerance;
 use glam::Vec3;
 use segwild_gpu::GpuEngine;
 use segwild_gpu::probe::{ComparedOnDevice, LossPasses};

@@ -25,8 +25,10 @@ pub struct FeatureCase {
 /// A test case with random numbers.
 pub struct FeatureCaseData {
     target: Image,
+    /// How much each cell of the target is trusted.
     pub validity: Vec<f32>,
     average: AreaAverage,
+    /// Positions of the sampled pixels.
     pub pixels: Vec<u32>,
     membership: Membership,
 }

@@ -1,7 +1,9 @@
 //! Checks the feature field's kernels against the host's losses and optimiser.
 
-use super::feature_case::FeatureCase;
-use super::{KernelCheck, SIZE, SPLATS, Tolerance};
+use crate::feature_case::FeatureCase;
+use crate::frame::{SIZE, SPLATS};
+use crate::kernel_check::KernelCheck;
+use crate::tolerance::Tolerance;
 use segwild_gpu::GpuEngine;
 use segwild_gpu::probe::{FieldGradients, RowSteps};
 use segwild_objective::FieldBackend;

@@ -1,6 +1,7 @@
 //! Checks the kernels of the appearance model `gsw`: its networks on the device against those on the host.
 
-use super::{KernelCheck, Tolerance};
+use crate::kernel_check::KernelCheck;
+use crate::tolerance::Tolerance;
 use segwild_gpu::GpuEngine;
 use segwild_gpu::GpuError;
 use segwild_gpu::probe::{LightingPasses, LightingResults, UploadedNetworks, run_network};

@@ -1,6 +1,8 @@
 //! Checks the kernels of training: one step on the device against the same step on the host.
 
-use super::{KernelCheck, Tolerance, interleaved};
+use crate::frame::interleaved;
+use crate::kernel_check::KernelCheck;
+use crate::tolerance::Tolerance;
 use segwild_gpu::GpuEngine;
 use segwild_gpu::probe::{TrainedStep, training_step};
 use segwild_objective::{
