@@ -1,6 +1,6 @@
 //! The feature field: its losses, the optimiser of rows, and the similarity to clicks.
 
-use super::DevicePasses;
+use super::device_passes::DevicePasses;
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::field::{GpuFeatureTarget, GpuField, GpuRows};
 use crate::kept::GpuChannels;

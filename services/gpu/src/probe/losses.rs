@@ -1,6 +1,6 @@
 //! The losses of a photo.
 
-use super::DevicePasses;
+use super::device_passes::DevicePasses;
 use crate::compare::{ComparisonInputs, GpuPhoto, Graded, StepReadback, compare};
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::engine::{Binned, Cloud, bin};

@@ -5,6 +5,7 @@
 //! meanwhile waits, the same thread included.
 
 mod clock;
+mod device_passes;
 mod field;
 mod losses;
 mod networks;
@@ -14,6 +15,7 @@ mod training;
 mod view;
 
 pub use clock::{start_clock, stop_clock, wait};
+pub use device_passes::DevicePasses;
 pub use field::{FieldGradients, FieldPasses, RowSteps, SimilarityPasses};
 pub use losses::{ComparedOnDevice, LossPasses};
 pub use networks::{
@@ -23,14 +25,3 @@ pub use rates::RatePasses;
 pub use sums::{running_sums, sorted};
 pub use training::{AdamPasses, TrainedStep, training_step};
 pub use view::{PassCounts, ViewLists, ViewPasses, view_lists};
-
-use crate::GpuError;
-
-/// Passes over inputs that lie on the device; each is recorded, and submitted with those before it.
-pub trait DevicePasses {
-    /// Submits what was recorded, and waits until all of it is done.
-    ///
-    /// # Errors
-    /// When the device failed.
-    fn wait(&mut self) -> Result<(), GpuError>;
-}

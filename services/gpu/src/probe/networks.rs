@@ -1,6 +1,6 @@
 //! Networks on the device: one alone, and those of the appearance model `gsw` over the splats in sight.
 
-use super::DevicePasses;
+use super::device_passes::DevicePasses;
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::nets::{GpuNetworks, GpuTape, GpuWeights, NetworkLighting, NetworkPlan, floor};
 use crate::{GpuEngine, GpuError};

@@ -1,6 +1,6 @@
 //! What the device can do at most: a copy, and a kernel that only multiplies and adds.
 
-use super::DevicePasses;
+use super::device_passes::DevicePasses;
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::engine::GROUP;
 use crate::shaders::RATE;

@@ -1,6 +1,6 @@
 //! One step of training from given gradients, and the optimiser alone.
 
-use super::DevicePasses;
+use super::device_passes::DevicePasses;
 use crate::compare::{StepReadback, results_buffer};
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::optimiser::{Groups, StepGrads};

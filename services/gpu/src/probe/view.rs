@@ -1,6 +1,6 @@
 //! The passes over a view, and the lists that it keeps on the device.
 
-use super::DevicePasses;
+use super::device_passes::DevicePasses;
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::engine::{BUCKET, Binned, Cloud, GROUP, TILE, bin, sort};
 use crate::passes::PIXELS;
