@@ -1,12 +1,12 @@
 //! The accelerator engine: implements [`segwild_objective::Engine`] with the kernels of `shaders/`, through wgpu (Vulkan,
 //! Metal, Direct3D 12).
 //!
-//! Each kernel bears the name of its twin in the CPU engine (`services/raster/src/cpu/`) and is tested against it;
-//! those of networks (`nets/`) have theirs in `services/nn` and `services/objective/src/appearance/gsw/`. Buffers of a
-//! view stay on the device from `project` to `backward`. Channels are uploaded, unless they are kept there for many
-//! views; images and gradients are downloaded. Splats in training stay on the device too, with their optimiser, photos
-//! and networks (`training.rs`), and so do features while they are refined (`field/`): then a whole step is submitted
-//! at once.
+//! Each kernel bears the name of its twin in the CPU engine (`services/raster/src/cpu/`), with which
+//! `segwild-selftest` compares it through [`probe`]; those of networks (`nets/`) have theirs in `services/nn` and
+//! `services/objective/src/appearance/gsw/`. Buffers of a view stay on the device from `project` to `backward`.
+//! Channels are uploaded, unless they are kept there for many views; images and gradients are downloaded. Splats in
+//! training stay on the device too, with their optimiser, photos and networks (`training.rs`), and so do features
+//! while they are refined (`field/`): then a whole step is submitted at once.
 
 #[cfg(test)]
 extern crate self as segwild_gpu;
