@@ -1,4 +1,5 @@
-//! `segwild bench`: one module per benchmark, each with its arguments, a call into `segwild_bench`, and words out.
+//! `segwild bench`: one module per benchmark, each with its arguments, a call into `segwild_eval` or `segwild_bench`,
+//! and words out.
 
 mod chart;
 mod clicks;
