@@ -4,7 +4,7 @@
 //! in its `segwild.toml` ([`VisionSettings::CODE`]) are shown and never loaded. `RUN/networks.json` records which
 //! network files a run was made with; a later command compares their hashes with those of the files that it is given.
 
-use crate::region_cache::InCache;
+use crate::artifacts::region_cache::InCache;
 use crate::{RunError, RunFolder, Settings};
 use segwild_vision::{NetworkFile, Providers, VisionSettings};
 use std::collections::BTreeMap;

@@ -19,6 +19,7 @@
 //! ```
 
 mod photos;
+pub(crate) mod prompts;
 mod save;
 mod selected;
 mod viewing;
@@ -28,16 +29,16 @@ pub use selected::{Selected, Shortened};
 pub use viewing::{ShownParts, ShownScene};
 
 use crate::accelerator::leased;
+use crate::artifacts::folder::{Loaded, TrainingSnapshot};
+use crate::artifacts::images::ImageFiles;
 use crate::code::{self, Code};
-use crate::folder::{Loaded, TrainingSnapshot};
-use crate::images::ImageFiles;
-use crate::light::{self, find};
-use crate::objects::{ListRequest, TreeSource};
-use crate::prompts::check_all;
+use crate::output::light::{self, find};
+use crate::output::objects::{ListRequest, TreeSource};
+use crate::run::skies;
 use crate::session::photos::DecodedPhotos;
+use crate::session::prompts::check_all;
 use crate::{
-    ObjectQuery, PhotoPrompts, Replay, RunError, RunFolder, Settings, choose_engine, log_loss, skies,
-    transients,
+    ObjectQuery, PhotoPrompts, Replay, RunError, RunFolder, Settings, choose_engine, log_loss, transients,
 };
 use segwild_flow::{
     ActorOptions, Limits, Observer, Phase, Receiver, Sender, Stopper, System, SystemOptions, mailbox,

@@ -1,11 +1,14 @@
 //! Writes an answer as a selection: the object and its masks, in formats that other tools open.
 
 use super::{Answer, Selected, Session};
+use crate::artifacts::intact;
+use crate::artifacts::traces;
 use crate::code;
-use crate::light::{self, find};
-use crate::object_masks::ObjectMasks;
+use crate::output::light::{self, find};
+use crate::output::object_masks::ObjectMasks;
+use crate::output::report;
 use crate::settings::AT_ONCE;
-use crate::{PhotoPrompts, RunError, RunFolder, intact, report, traces, transients};
+use crate::{PhotoPrompts, RunError, RunFolder, transients};
 use rayon::prelude::*;
 use segwild_flow::{FileError, fault, files};
 use segwild_scene::ply::Export;

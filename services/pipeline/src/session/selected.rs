@@ -1,6 +1,6 @@
 //! The record of a selection.
 
-use crate::intact::Intact;
+use crate::artifacts::intact::Intact;
 use crate::{RunError, RunFolder};
 use segwild_flow::codec;
 use segwild_scene::Splats;

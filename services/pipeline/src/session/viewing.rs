@@ -2,8 +2,8 @@
 
 use super::photos::MOST_BYTES as DECODED_BYTES;
 use super::{Answer, Selected, Session};
-use crate::light::{self, BlendedAppearance};
-use crate::render::{HIGHLIGHT, NOTHING, over_white};
+use crate::output::light::{self, BlendedAppearance};
+use crate::output::render::{HIGHLIGHT, NOTHING, over_white};
 use crate::{PhotoPrompts, RunError, transients};
 use segwild_flow::Stopper;
 use segwild_raster::{Channels, CpuEngine, FrontLayer};
@@ -269,7 +269,7 @@ impl Session {
         labels: Vec<u8>,
         stopper: &Stopper,
     ) -> Result<Vec<u8>, RunError> {
-        crate::objects::coco_masks(self, names, labels, stopper)
+        crate::output::objects::coco_masks(self, names, labels, stopper)
     }
 
     /// The mask of a photo's transients, as taken; `None` where the photo has none.

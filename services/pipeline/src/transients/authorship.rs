@@ -4,7 +4,7 @@
 //! two is damaged, the other still shows that the image is not a person's. An image that cannot be read, or whose check
 //! sums do not fit, is damaged: it is moved aside, where a person can look at it, and made again.
 
-use crate::images::{ImageFiles, comment, damage, with_comment};
+use crate::artifacts::images::{ImageFiles, comment, damage, with_comment};
 use crate::{RunError, RunFolder};
 use segwild_flow::{FileError, files};
 use segwild_scene::{Mask, SceneError};

@@ -2,7 +2,7 @@
 
 use super::authorship::{self, FOLDER, MaskImage, WrittenMasks, pixel_hash};
 use super::images::image_files;
-use crate::images::same_shape;
+use crate::artifacts::images::same_shape;
 use crate::{RunError, RunFolder};
 use segwild_scene::{Mask, MaskFiles, Scene, View};
 use std::path::{Path, PathBuf};

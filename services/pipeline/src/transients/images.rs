@@ -4,7 +4,7 @@ use super::authorship::{
     self, FOLDER, MADE, MaskImage, TrainPhotoFit, WrittenMask, WrittenMasks, pixel_hash,
 };
 use super::finding::{KnownTransients, crowded, odd, share_of};
-use crate::images::ImageFiles;
+use crate::artifacts::images::ImageFiles;
 use crate::{RunError, RunFolder};
 use segwild_flow::{ActorFailure, FileError, Key};
 use segwild_raster::Rasterizer;

@@ -1,7 +1,7 @@
 //! Scores a run's mask images of transients against true masks.
 
 use super::authorship::FOLDER;
-use crate::images::{ImageFiles, same_shape};
+use crate::artifacts::images::{ImageFiles, same_shape};
 use crate::{RunError, RunFolder};
 use segwild_scene::{Mask, MaskFiles};
 use serde::Serialize;

@@ -1,7 +1,7 @@
 //! `--appearance-model auto` and `--budget auto`: each choice is made once, kept in the cache under a key of all that
 //! it depends on, and reported.
 
-use crate::artefacts::Keys;
+use crate::artifacts::keys::Keys;
 use crate::{RunBudget, RunError, RunFolder, Settings};
 use segwild_flow::{Cache, CacheError, Key};
 use segwild_objective::Engine;

@@ -18,8 +18,8 @@
 //! RUN/report.html       all of the above on one page
 //! ```
 
-use crate::checkpoints::CHECKPOINT;
-use crate::images::ImageFiles;
+use crate::artifacts::checkpoints::CHECKPOINT;
+use crate::artifacts::images::ImageFiles;
 use crate::{RunError, Settings};
 use segwild_features::FeatureField;
 use segwild_flow::files::Stray;
@@ -50,7 +50,7 @@ const WRITTEN_INTO: [&str; 9] = [
     "selections",
     "studio",
     "transients",
-    crate::traces::EARLIER,
+    crate::artifacts::traces::EARLIER,
 ];
 
 /// Files that are read and lie in no folder that is written into.

@@ -1,6 +1,6 @@
 //! The stage or step at which a run stops.
 
-use crate::graph::STAGES;
+use crate::run::graph::STAGES;
 use std::fmt;
 use std::str::FromStr;
 

@@ -1,8 +1,8 @@
 //! The selections in the report: a section for each, which can be added without making the others again.
 
 use super::{html, pass, spread, write_report};
-use crate::folder::Loaded;
-use crate::render::{Mode, RenderContent, SceneRenderer};
+use crate::artifacts::folder::Loaded;
+use crate::output::render::{Mode, RenderContent, SceneRenderer};
 use crate::{ObjectList, RunError, RunFolder, Selected, choose_engine, log_loss};
 use segwild_flow::{FileError, files};
 use segwild_raster::Rasterizer;

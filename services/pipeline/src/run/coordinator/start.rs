@@ -2,14 +2,14 @@
 
 use super::{Bars, Coordinator, HISTORY, Inboxes};
 use crate::RunError;
-use crate::checkpoints::Keeper;
-use crate::folder::{FEATURES, MODEL};
-use crate::history::{self, Moment};
-use crate::inputs::{Inputs, SnapshotRenders, VISIBILITY};
-use crate::keep::{SNAPSHOT, TRAINING, TRANSIENTS};
-use crate::memory;
-use crate::objects::{OBJECTS, TreeSource};
-use crate::outcome::ActorOutcome;
+use crate::artifacts::cache::{SNAPSHOT, TRAINING, TRANSIENTS};
+use crate::artifacts::checkpoints::Keeper;
+use crate::artifacts::folder::{FEATURES, MODEL};
+use crate::artifacts::history::{self, Moment};
+use crate::output::objects::{OBJECTS, TreeSource};
+use crate::run::inputs::{Inputs, SnapshotRenders, VISIBILITY};
+use crate::run::memory;
+use crate::run::outcome::ActorOutcome;
 use segwild_features::{FeatureField, FeatureTask};
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{ActorFailure, ActorOptions, Context, Event, Key, Phase, System, fault};

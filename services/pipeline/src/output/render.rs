@@ -1,8 +1,8 @@
 //! Renders a trained scene: views of photos or a path through them, with any appearance and with a selection.
 
-use crate::folder::Loaded;
-use crate::images::ImageFiles;
-use crate::light::{AppearanceRequest, find};
+use crate::artifacts::folder::Loaded;
+use crate::artifacts::images::ImageFiles;
+use crate::output::light::{AppearanceRequest, find};
 use crate::{RunError, RunFolder, Selected, choose_engine, log_loss};
 use glam::{Mat3, Quat, Vec3};
 use segwild_features::FeatureColours;

@@ -1,7 +1,7 @@
 //! The sky of each photo: waiting for it and reading it.
 
-use crate::recompute::{CachedArtefact, Recompute};
-use crate::view_slots::ViewSlots;
+use crate::artifacts::recompute::{CachedArtefact, Recompute};
+use crate::run::view_slots::ViewSlots;
 use crate::{RunError, RunFolder};
 use segwild_flow::ledger::State;
 use segwild_flow::{ActorFailure, Events, Key, Ledger};

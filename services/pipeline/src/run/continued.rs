@@ -5,8 +5,8 @@
 //! rates. The proposed masks of the photos stay. Its key depends on the training before, the corrections and the step
 //! it ends at. `transients/continued.json` records the training before, so that the same command finds it again.
 
-use crate::artefacts::{End, Keys};
-use crate::keep::present_training;
+use crate::artifacts::cache::present_training;
+use crate::artifacts::keys::{End, Keys};
 use crate::transients::Corrections;
 use crate::{RunError, RunFolder, Settings};
 use segwild_flow::{Cache, Key, Ledger};

@@ -5,12 +5,12 @@ mod objects;
 
 pub(crate) use objects::add_object;
 
-use crate::choice::AutoChoice;
-use crate::evaluate::{HeldOut, HeldOutScore, held_out_render};
-use crate::folder::Loaded;
-use crate::history::{self, Moment};
-use crate::images::ImageFiles;
-use crate::render::{NOTHING, RenderContent, SceneRenderer};
+use crate::artifacts::folder::Loaded;
+use crate::artifacts::history::{self, Moment};
+use crate::artifacts::images::ImageFiles;
+use crate::output::evaluate::{HeldOut, HeldOutScore, held_out_render};
+use crate::output::render::{NOTHING, RenderContent, SceneRenderer};
+use crate::run::choice::AutoChoice;
 use crate::transients::{self, TrainFit};
 use crate::{AppearanceChoice, BudgetChoice, RunError, RunFolder, choose_engine, log_loss};
 use html::ChartSeries;

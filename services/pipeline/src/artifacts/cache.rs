@@ -1,7 +1,7 @@
 //! The content of a run's cache: listing, verifying, removing what is unused.
 
-use crate::artefacts::history_of;
-use crate::region_cache::REGIONS;
+use crate::artifacts::keys::history_of;
+use crate::artifacts::region_cache::REGIONS;
 use crate::{RunError, RunFolder};
 use segwild_flow::ledger::CheckpointRow;
 use segwild_flow::{Artefact, Cache, Ledger, LedgerError, Swept};

@@ -1,24 +1,26 @@
 //! Runs the stages of one scene, from its photos to its report.
 
 use crate::accelerator::leased;
-use crate::artefacts::{Digests, End, Keys};
-use crate::choice::Chooser;
+use crate::artifacts::cache;
+use crate::artifacts::folder::Intake;
+use crate::artifacts::images::ImageFiles;
+use crate::artifacts::keys::{Digests, End, Keys};
+use crate::artifacts::recompute::Recompute;
+use crate::artifacts::region_cache::InCache;
+use crate::artifacts::traces::Traces;
 use crate::code;
-use crate::continued::ContinuedTraining;
-use crate::coordinator::{Coordinator, CoordinatorState};
-use crate::evaluate::{HeldOut, held_out};
-use crate::folder::Intake;
-use crate::images::ImageFiles;
-use crate::recompute::Recompute;
-use crate::region_cache::InCache;
-use crate::skies::Skies;
-use crate::traces::Traces;
+use crate::output::evaluate::{HeldOut, held_out};
+use crate::output::report;
+use crate::run::choice::Chooser;
+use crate::run::continued::ContinuedTraining;
+use crate::run::coordinator::{Coordinator, CoordinatorState};
+use crate::run::diagnostics;
+use crate::run::memory;
+use crate::run::skies::Skies;
+use crate::run::view_slots::ViewSlots;
 use crate::transients::authorship;
 use crate::transients::{Corrections, KnownTransients, TrainFit};
-use crate::view_slots::ViewSlots;
-use crate::{
-    ChosenEngine, RunError, RunFolder, Settings, Until, choose_engine, diagnostics, keep, memory, report,
-};
+use crate::{ChosenEngine, RunError, RunFolder, Settings, Until, choose_engine};
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{ActorFailure, Cache, Event, Events, Ledger, Phase, Recorder, Stopper, cpu, files, trace};
 use segwild_masks::{MaskMaker, sasm};
@@ -259,7 +261,7 @@ pub fn run(
     };
     let settings = &chooser.choose(settings, |kind, key, why| {
         // The ledger names it, so that the cache keeps it.
-        ledger.record_view(keep::SNAPSHOT, kind, key, &ViewOutcome::cached())?;
+        ledger.record_view(cache::SNAPSHOT, kind, key, &ViewOutcome::cached())?;
         options.events.info(Some("geometry"), format!("{kind} {why}"));
         Ok(())
     })?;
@@ -445,7 +447,7 @@ pub fn run(
         ledger.finish_stage("report", &key, None)?;
     }
     if settings.run.cache_limit > 0 {
-        let swept = keep::sweep(&ledger, &cache, settings.run.cache_limit << 20, false)?;
+        let swept = cache::sweep(&ledger, &cache, settings.run.cache_limit << 20, false)?;
         if swept.files > 0 {
             let mib = swept.bytes as f64 / f64::from(1 << 20);
             options.events.info(

@@ -1,8 +1,8 @@
 //! Scores: held-out photos by the official protocol, selections against true masks (method, section 10).
 
-use crate::images::{ImageFiles, same_shape};
-use crate::intact::Intact;
-use crate::prompts::Replay;
+use crate::artifacts::images::{ImageFiles, same_shape};
+use crate::artifacts::intact::Intact;
+use crate::session::prompts::Replay;
 use crate::{RunError, RunFolder, Scoring, Selected, Settings};
 use segwild_flow::fault;
 use segwild_raster::Rasterizer;

@@ -3,10 +3,10 @@
 use super::start::ATTEMPTS;
 use super::{Bars, Coordinator, HISTORY};
 use crate::RunError;
-use crate::folder::{FEATURES, MODEL};
-use crate::history::{self, Moment};
-use crate::light;
-use crate::outcome::ActorOutcome;
+use crate::artifacts::folder::{FEATURES, MODEL};
+use crate::artifacts::history::{self, Moment};
+use crate::output::light;
+use crate::run::outcome::ActorOutcome;
 use segwild_features::{FeatureField, FeatureOutcome};
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{ActorFailure, Event, Key, Quarantined, StageProgress};

@@ -3,10 +3,10 @@
 //! Same key, same bytes. A key hashes everything that the artefact depends on, so that a changed setting recomputes
 //! exactly what depends on it.
 
-use crate::continued::TrainingOrigin;
-use crate::evaluate::protocol_of;
-use crate::memory;
-use crate::objects::tree_key;
+use crate::output::evaluate::protocol_of;
+use crate::output::objects::tree_key;
+use crate::run::continued::TrainingOrigin;
+use crate::run::memory;
 use crate::transients::Corrections;
 use crate::{RunError, Settings, Until};
 use rayon::prelude::*;

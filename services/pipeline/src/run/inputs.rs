@@ -2,12 +2,12 @@
 //! damaged.
 
 use crate::RunFolder;
-use crate::artefacts::Keys;
-use crate::folder::MODEL;
-use crate::recompute::{CachedArtefact, Recompute};
-use crate::skies::Skies;
+use crate::artifacts::folder::MODEL;
+use crate::artifacts::keys::Keys;
+use crate::artifacts::recompute::{CachedArtefact, Recompute};
+use crate::run::skies::Skies;
+use crate::run::view_slots::ViewSlots;
 use crate::transients::{KnownTransients, TransientMaskWriter, visibility};
-use crate::view_slots::ViewSlots;
 
 use segwild_features::{EMBEDDING, FieldInputs, describe};
 use segwild_flow::{ActorFailure, Context};

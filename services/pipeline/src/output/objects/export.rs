@@ -3,8 +3,9 @@
 use super::coco::{CocoAnnotation, CocoCategory, CocoFile, CocoImage, CocoRle};
 use super::list::ListedObjects;
 use super::{ObjectList, SceneObject, bounds, sheet};
+use crate::output::light;
 use crate::settings::AT_ONCE;
-use crate::{RunError, Session, light};
+use crate::{RunError, Session};
 use rayon::prelude::*;
 use segwild_flow::{Phase, Stopper, files};
 use segwild_scene::Mask;

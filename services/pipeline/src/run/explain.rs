@@ -3,12 +3,13 @@
 //! Every stage has a key that hashes all it depends on ([`Keys`]). A changed setting is a cause if it alone changes the
 //! stage's key; there is no table of dependencies.
 
-use crate::artefacts::{Digests, End, Keys};
-use crate::continued::{ContinuedTraining, TrainingOrigin};
-use crate::graph::{STAGES, UNTIL_STEP};
+use crate::artifacts::keys::{Digests, End, Keys};
+use crate::code;
+use crate::run::choice;
+use crate::run::continued::{ContinuedTraining, TrainingOrigin};
+use crate::run::graph::{STAGES, UNTIL_STEP};
 use crate::transients::Corrections;
 use crate::{RunError, RunFolder, Settings, Until, choose_engine};
-use crate::{choice, code};
 use segwild_flow::ledger::{StageRow, State};
 use segwild_flow::{Cache, Ledger, files};
 use segwild_scene::Scene;

@@ -1,0 +1,12 @@
+//! What a run keeps on disk: its folder, the content cache and its keys, checkpoints, timelines.
+
+pub(crate) mod cache;
+pub(crate) mod checkpoints;
+pub(crate) mod folder;
+pub(crate) mod history;
+pub(crate) mod images;
+pub(crate) mod intact;
+pub(crate) mod keys;
+pub(crate) mod recompute;
+pub(crate) mod region_cache;
+pub(crate) mod traces;

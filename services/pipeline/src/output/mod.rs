@@ -1,0 +1,8 @@
+//! What comes of a run: renders, appearances, scores, the list of objects, the report.
+
+pub(crate) mod evaluate;
+pub(crate) mod light;
+pub(crate) mod object_masks;
+pub(crate) mod objects;
+pub(crate) mod render;
+pub(crate) mod report;
