@@ -1,32 +1,10 @@
 //! Which engine computes the splats.
 
-use crate::{RunError, RunSettings};
+use crate::{EngineKind, RunError, RunSettings, WhenLost};
 use segwild_gpu::{AdapterChoice, GpuEngine, GpuError};
 use segwild_objective::{Engine, FallbackEngine};
 use segwild_raster::CpuEngine;
 use std::sync::Arc;
-
-segwild_scene::choice! {
-    /// The engine that renders and trains the splats.
-    pub enum EngineKind {
-        /// An accelerator that is no program on the CPU, where there is one; else the CPU.
-        Auto = "auto",
-        /// The CPU engine.
-        Cpu = "cpu",
-        /// An accelerator.
-        Gpu = "gpu",
-    }
-}
-
-segwild_scene::choice! {
-    /// What happens when the accelerator fails while it computes.
-    pub enum WhenLost {
-        /// The run stops, and the same command continues it.
-        Stop = "stop",
-        /// The CPU engine takes over.
-        Cpu = "cpu",
-    }
-}
 
 /// An engine, and why it was chosen.
 #[derive(Clone)]

@@ -22,7 +22,7 @@ pub use artifacts::intact::{DamagedFile, verify_selections};
 pub use artifacts::keys::Keys;
 pub use code::{Code, providers_for};
 pub(crate) use engine::log_loss;
-pub use engine::{ChosenEngine, EngineKind, WhenLost, choose_engine};
+pub use engine::{ChosenEngine, choose_engine};
 pub use error::RunError;
 pub use output::evaluate::{HeldOut, HeldOutScore, Score, SelectionMaskScore, held_out_render, score};
 pub use output::light::{AppearanceRequest, BakeRequest, Baked, BlendedAppearance, OWN, ScenePart, bake};
@@ -43,5 +43,5 @@ pub use session::{
     Answer, PendingAnswer, SegmentOutcome, Selected, Session, SessionOptions, Shortened, ShownParts,
     ShownScene, segment,
 };
-pub use settings::{RunBudget, RunSettings, Scoring, Settings, SettingsError, renamed};
+pub use settings::{EngineKind, RunBudget, RunSettings, Scoring, Settings, SettingsError, WhenLost, renamed};
 pub use transients::{TrainFit, TransientScore, TransientScores, score_transients};

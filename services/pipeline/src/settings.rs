@@ -1,6 +1,5 @@
 //! All settings of a run in one struct: flags, `segwild.toml` and `docs/reference/settings.md` are generated from it.
 
-use crate::{EngineKind, WhenLost};
 use segwild_features::FeatureSettings;
 use segwild_flow::files;
 use segwild_masks::MaskSettings;
@@ -12,6 +11,28 @@ use segwild_vision::VisionSettings;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+
+choice! {
+    /// The engine that renders and trains the splats.
+    pub enum EngineKind {
+        /// An accelerator that is no program on the CPU, where there is one; else the CPU.
+        Auto = "auto",
+        /// The CPU engine.
+        Cpu = "cpu",
+        /// An accelerator.
+        Gpu = "gpu",
+    }
+}
+
+choice! {
+    /// What happens when the accelerator fails while it computes.
+    pub enum WhenLost {
+        /// The run stops, and the same command continues it.
+        Stop = "stop",
+        /// The CPU engine takes over.
+        Cpu = "cpu",
+    }
+}
 
 choice! {
     /// What decides the steps, channels and appearance model of a run.

@@ -1,14 +1,12 @@
 //! The checkpoints from which an interrupted training continues.
 
+use super::folder::CHECKPOINT;
 use crate::{RunError, RunFolder};
 use segwild_flow::files::FileError;
 use segwild_flow::ledger::CheckpointRow;
 use segwild_flow::{Events, Key, Ledger, codec, fault, files};
 use segwild_trainer::Checkpoint;
 use std::path::PathBuf;
-
-/// Kind of the records.
-pub(crate) const CHECKPOINT: &str = "checkpoint";
 
 /// Keeps the checkpoints of one training, files in the run folder and their digests in the ledger.
 pub struct Keeper<'a> {

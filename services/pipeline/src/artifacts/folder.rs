@@ -18,7 +18,6 @@
 //! RUN/report.html       all of the above on one page
 //! ```
 
-use crate::artifacts::checkpoints::CHECKPOINT;
 use crate::artifacts::images::ImageFiles;
 use crate::{RunError, Settings};
 use segwild_features::FeatureField;
@@ -36,6 +35,10 @@ use std::path::{Path, PathBuf};
 pub(crate) const MODEL: &str = "model";
 /// Kind of the record in `features.bin`, and of fields in the cache.
 pub(crate) const FEATURES: &str = "features";
+/// Kind of the records of checkpoints.
+pub(crate) const CHECKPOINT: &str = "checkpoint";
+/// The folder of the timelines of earlier processes and of selections.
+pub(crate) const EARLIER: &str = "traces";
 
 /// Letters that a message shows of a requested name that does not exist.
 const LONGEST_ECHO: usize = 120;
@@ -50,7 +53,7 @@ const WRITTEN_INTO: [&str; 9] = [
     "selections",
     "studio",
     "transients",
-    crate::artifacts::traces::EARLIER,
+    EARLIER,
 ];
 
 /// Files that are read and lie in no folder that is written into.

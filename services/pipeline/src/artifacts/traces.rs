@@ -1,5 +1,6 @@
 //! The timelines of the processes that worked on a run, as files: who did what when.
 
+use super::folder::EARLIER;
 use crate::{RunError, RunFolder};
 use segwild_flow::{FileError, Report, SpanKind, TimelineSpan, trace};
 use std::path::Path;
@@ -7,8 +8,6 @@ use std::time::Instant;
 
 /// Files of the last process.
 const FILES: [&str; 3] = ["timeline.json", "trace.json", "trace.otlp.json"];
-/// The folder of the timelines of earlier processes and of selections.
-pub(crate) const EARLIER: &str = "traces";
 /// How many earlier timelines are kept.
 const KEPT: usize = 30;
 

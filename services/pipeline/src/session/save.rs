@@ -1,6 +1,8 @@
 //! Writes an answer as a selection: the object and its masks, in formats that other tools open.
 
-use super::{Answer, Selected, Session};
+use super::answer::Answer;
+use super::resident::Session;
+use super::selected::Selected;
 use crate::artifacts::intact;
 use crate::artifacts::traces;
 use crate::code;

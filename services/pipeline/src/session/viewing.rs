@@ -1,7 +1,9 @@
 //! What a person sees of a session: photos, the scene from any camera, and files of objects.
 
+use super::answer::Answer;
 use super::photos::MOST_BYTES as DECODED_BYTES;
-use super::{Answer, Selected, Session};
+use super::resident::Session;
+use super::selected::Selected;
 use crate::output::light::{self, BlendedAppearance};
 use crate::output::render::{HIGHLIGHT, NOTHING, over_white};
 use crate::{PhotoPrompts, RunError, transients};

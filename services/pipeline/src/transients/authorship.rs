@@ -7,7 +7,7 @@
 use crate::artifacts::images::{ImageFiles, comment, damage, with_comment};
 use crate::{RunError, RunFolder};
 use segwild_flow::{FileError, files};
-use segwild_scene::{Mask, SceneError};
+use segwild_scene::{Mask, Scene, SceneError};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -17,6 +17,11 @@ pub(crate) const FOLDER: &str = "transients";
 pub(crate) const MADE: &str = "transients/made.json";
 /// Start of the comment in an image of this program; the hash of its pixels follows.
 const SIGN: &str = "made by segwild, pixels ";
+
+/// The mask images of a scene's photos.
+pub(super) fn image_files(scene: &Scene) -> ImageFiles {
+    ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()))
+}
 
 /// The mask image that this program has written of one photo.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]

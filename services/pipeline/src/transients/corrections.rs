@@ -1,7 +1,6 @@
 //! Masks of transients that a person has corrected.
 
-use super::authorship::{self, FOLDER, MaskImage, WrittenMasks, pixel_hash};
-use super::images::image_files;
+use super::authorship::{self, FOLDER, MaskImage, WrittenMasks, image_files, pixel_hash};
 use crate::artifacts::images::same_shape;
 use crate::{RunError, RunFolder};
 use segwild_scene::{Mask, MaskFiles, Scene, View};

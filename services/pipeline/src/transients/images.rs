@@ -1,10 +1,10 @@
 //! Writes and reads the mask images of transients in the run folder.
 
 use super::authorship::{
-    self, FOLDER, MADE, MaskImage, TrainPhotoFit, WrittenMask, WrittenMasks, pixel_hash,
+    self, FOLDER, MADE, MaskImage, TrainPhotoFit, WrittenMask, WrittenMasks, image_files, pixel_hash,
 };
-use super::finding::{KnownTransients, crowded, odd, share_of};
-use crate::artifacts::images::ImageFiles;
+use super::known::KnownTransients;
+use super::odd::{crowded, odd, share_of};
 use crate::{RunError, RunFolder};
 use segwild_flow::{ActorFailure, FileError, Key};
 use segwild_raster::Rasterizer;
@@ -13,11 +13,6 @@ use segwild_trainer::{Model, TrainPhoto};
 use segwild_vision::PromptSegmenter;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-
-/// The mask images of a scene's photos.
-pub(super) fn image_files(scene: &Scene) -> ImageFiles {
-    ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()))
-}
 
 /// Returns a reader of a run's transient masks, by view and in pixels of the undistorted photo. It gives `None` where
 /// no mask image is or can be read.

@@ -10,7 +10,9 @@
 //! | [`corrections`] | reads the masks that a person has corrected |
 //! | [`authorship`] | decides who wrote a mask image: this program, a person, or a damaged disk |
 //! | [`images`] | writes and reads the mask images in the run folder |
-//! | [`finding`] | finds the transients of a photo, before and after the training |
+//! | [`known`] | the transients of a photo that are known before the training |
+//! | [`finding`] | finds the transients of a photo after the training |
+//! | [`odd`] | warnings about the transients of photos |
 //! | [`scoring`] | scores the mask images against true masks |
 //! | [`visibility`] | compares a photo with the trained scene, pixel by pixel |
 
@@ -18,12 +20,14 @@ pub(crate) mod authorship;
 mod corrections;
 mod finding;
 mod images;
+mod known;
+mod odd;
 mod scoring;
 mod visibility;
 
 pub use authorship::TrainFit;
 pub(crate) use corrections::Corrections;
-pub(crate) use finding::KnownTransients;
 pub(crate) use images::{TransientMaskWriter, damaged, of_run, read_image, write_image};
+pub(crate) use known::KnownTransients;
 pub use scoring::{TransientScore, TransientScores, score_transients};
 pub(crate) use visibility::visibility;

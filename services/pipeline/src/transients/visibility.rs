@@ -1,6 +1,6 @@
 //! The visibility mask (VM) of a photo: its pixels that show the scene, and not sky, ignored areas or transients.
 
-use super::Corrections;
+use super::corrections::Corrections;
 use segwild_raster::Rasterizer;
 use segwild_scene::{Mask, View};
 use segwild_trainer::{Model, TrainError, render_view};

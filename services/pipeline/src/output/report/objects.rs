@@ -1,17 +1,20 @@
-//! The selections in the report: a section for each, which can be added without making the others again.
+//! The list of objects and the selections in the report: a section for each selection.
 
-use super::{html, pass, spread, write_report};
+use super::html;
+use super::shown::{SHOWN, pass, spread};
 use crate::artifacts::folder::Loaded;
 use crate::output::render::{Mode, RenderContent, SceneRenderer};
-use crate::{ObjectList, RunError, RunFolder, Selected, choose_engine, log_loss};
+use crate::{ObjectList, RunError, RunFolder, Selected};
 use segwild_flow::{FileError, files};
 use segwild_raster::Rasterizer;
 use segwild_scene::Image;
-use std::collections::BTreeMap;
 
-const END_OF_OBJECTS: &str = "<!-- end of objects -->";
-const START_OF_OBJECT: &str = "<!-- object ";
-const AFTER_NAME: &str = " -->";
+/// The comment after the last selection.
+pub(super) const END_OF_OBJECTS: &str = "<!-- end of objects -->";
+/// The start of the comment before a selection; its name follows.
+pub(super) const START_OF_OBJECT: &str = "<!-- object ";
+/// The end of that comment.
+pub(super) const AFTER_NAME: &str = " -->";
 
 /// The list of the scene's objects; nothing where the run has none.
 pub(super) fn list(folder: &RunFolder) -> String {
@@ -52,7 +55,7 @@ pub(super) fn all(folder: &RunFolder, loaded: &Loaded, engine: &dyn Rasterizer) 
 }
 
 /// The comment before the selections in the report. It holds the hash of what they were made from.
-fn start_of_objects(folder: &RunFolder) -> Result<String, RunError> {
+pub(super) fn start_of_objects(folder: &RunFolder) -> Result<String, RunError> {
     let mut hasher = blake3::Hasher::new();
     hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
     for name in ["segwild.toml", "model.bin", "features.bin"] {
@@ -68,41 +71,8 @@ fn start_of_objects(folder: &RunFolder) -> Result<String, RunError> {
     Ok(format!("<!-- objects of {} -->", hasher.finalize()))
 }
 
-/// Adds a selection to the report. A report of another scene is written again as a whole.
-pub(crate) fn add_object(folder: &RunFolder, name: &str) -> Result<(), RunError> {
-    let known = files::read_plain(&folder.report()).unwrap_or_default();
-    let known = String::from_utf8(known).unwrap_or_default();
-    let start = start_of_objects(folder)?;
-    if !known.contains(&start) {
-        return write_report(folder).map(drop);
-    }
-    let loaded = folder.load()?;
-    let engine = choose_engine(&loaded.settings.run, log_loss)?.engine;
-    let section = object(folder, &loaded, name, &*engine)?;
-    match with_object(&known, &start, &folder.selections(), name, &section) {
-        Some(report) => Ok(folder.write("report.html", report.as_bytes())?),
-        None => write_report(folder).map(drop),
-    }
-}
-
-/// A report with a section for the selection of this name among those of the others that there are; `None` if it cannot
-/// be taken apart.
-fn with_object(report: &str, start: &str, names: &[String], name: &str, section: &str) -> Option<String> {
-    let (before, rest) = report.split_once(start)?;
-    let (objects, after) = rest.split_once(END_OF_OBJECTS)?;
-    let mut sections = BTreeMap::new();
-    // The text before the first section is empty.
-    for part in objects.split(START_OF_OBJECT).filter(|part| !part.is_empty()) {
-        sections.insert(part.split_once(AFTER_NAME)?.0, part);
-    }
-    sections.insert(name, section.strip_prefix(START_OF_OBJECT)?);
-    let kept = names.iter().filter_map(|name| sections.get(name.as_str()));
-    let objects: String = kept.flat_map(|part| [START_OF_OBJECT, part]).collect();
-    Some([before, start, &objects, END_OF_OBJECTS, after].concat())
-}
-
 /// A selection from a few of the photos it shows on; nothing if it cannot be read.
-fn object(
+pub(super) fn object(
     folder: &RunFolder,
     loaded: &Loaded,
     name: &str,
@@ -125,7 +95,7 @@ fn object(
     let only = SceneRenderer::new(loaded, Some((selected, Mode::Only)), RenderContent::Colour, engine)?;
     for view in spread(loaded, 4) {
         let v = &loaded.scene.views[view];
-        let camera = v.camera.scaled_to(loaded.settings.scene.size.min(super::SHOWN));
+        let camera = v.camera.scaled_to(loaded.settings.scene.size.min(SHOWN));
         let mut show = |renderer: &SceneRenderer, caption: &str| -> Result<(), RunError> {
             let image = renderer.render(engine, &camera, &v.pose, &renderer.light(Some(view)))?;
             text.push_str(&html::figure(&image, caption));
@@ -137,31 +107,4 @@ fn object(
     }
     text.push_str("</div>");
     Ok(text)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_selection_is_added_in_order_among_the_others() {
-        let section = |name: &str, what: &str| format!("{START_OF_OBJECT}{name}{AFTER_NAME}<h2>{what}</h2>");
-        let report = |sections: &[String]| {
-            format!("<p>before</p><!-- objects of 7 -->{}{END_OF_OBJECTS}<p>after</p>", sections.concat())
-        };
-        let add = |report: &str, names: &[&str], section: &str| {
-            let names: Vec<String> = names.iter().map(ToString::to_string).collect();
-            with_object(report, "<!-- objects of 7 -->", &names, "b", section)
-        };
-        let (a, b, c) = (section("a", "first"), section("b", "new"), section("c", "last"));
-        let all = report(&[a.clone(), b.clone(), c.clone()]);
-        assert_eq!(add(&report(&[]), &["b"], &b).unwrap(), report(std::slice::from_ref(&b)));
-        assert_eq!(add(&report(&[a.clone(), c.clone()]), &["a", "b", "c"], &b).unwrap(), all);
-        assert_eq!(add(&report(&[a, section("b", "old"), c.clone()]), &["a", "b", "c"], &b).unwrap(), all);
-        // A selection that has been removed since is dropped.
-        assert_eq!(add(&all, &["b", "c"], &b).unwrap(), report(&[b.clone(), c]));
-        // A report of another scene, and a selection that cannot be shown.
-        assert!(add("<!-- objects of 8 --><!-- end of objects -->", &["b"], &b).is_none());
-        assert!(add("<!-- objects of 7 -->", &["b"], &b).is_none() && add(&all, &["b"], "").is_none());
-    }
 }

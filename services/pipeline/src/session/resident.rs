@@ -1,0 +1,292 @@
+//! A run's scene, kept in memory.
+
+use super::answer::{PendingAnswer, failed};
+use super::photos::DecodedPhotos;
+use super::prompts::check_all;
+use crate::accelerator::leased;
+use crate::artifacts::folder::{Loaded, TrainingSnapshot};
+use crate::artifacts::images::ImageFiles;
+use crate::code::{self, Code};
+use crate::output::light::{self, find};
+use crate::output::objects::{ListRequest, TreeSource};
+use crate::run::skies;
+use crate::{
+    ObjectQuery, PhotoPrompts, Replay, RunError, RunFolder, Settings, choose_engine, log_loss, transients,
+};
+use segwild_flow::{ActorOptions, Limits, Phase, Sender, Stopper, System, SystemOptions, mailbox};
+use segwild_objective::Engine;
+use segwild_scene::{Prompts, Scene};
+use segwild_segmenter::scene_tree::{GroupCandidate, SceneTree};
+use segwild_segmenter::{
+    PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask, SplatFeatures,
+};
+use segwild_trainer::Model;
+use segwild_vision::Providers;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// How a session is opened.
+pub struct SessionOptions {
+    /// Turns prompts into masks; `None`: the providers of [`crate::providers_for`], with the networks that the environment names.
+    pub providers: Option<Providers>,
+    /// Whether clicks are answered from the scene tree. It is read from the run's cache, or grown.
+    pub tree: bool,
+    /// Ends the growing of the tree.
+    pub stopper: Stopper,
+}
+
+impl Default for SessionOptions {
+    fn default() -> Self {
+        SessionOptions { providers: None, tree: true, stopper: Stopper::new() }
+    }
+}
+
+/// A run's scene, kept in memory for prompts.
+pub struct Session {
+    pub(super) folder: RunFolder,
+    /// The settings that the run was made with.
+    pub(super) made_with: Settings,
+    pub(super) scene: Arc<Scene>,
+    pub(super) model: Model,
+    pub(super) engine: Arc<dyn Engine>,
+    pub(super) providers: Providers,
+    /// Key of the training.
+    pub(super) training: Option<String>,
+    pub(super) tree: Option<KeyedTree>,
+    /// Names of the image files of each photo.
+    pub(super) files: ImageFiles,
+    pub(super) tasks: Sender<SegmentTask>,
+    pub(super) system: System,
+}
+
+/// A scene tree and its key in the cache.
+pub(super) struct KeyedTree {
+    pub(super) key: String,
+    pub(super) tree: Arc<SceneTree>,
+}
+
+impl Session {
+    /// Loads a run.
+    ///
+    /// # Errors
+    /// When the run cannot be read, or `options.stopper` stops it.
+    pub fn open(folder: &RunFolder, options: SessionOptions) -> Result<Session, RunError> {
+        // Clicks do without a tree where no ledger names the training.
+        let training = folder.training_key();
+        Session::of(folder, folder.load()?, training, options)
+    }
+
+    /// Loads a run that is still trained, as it was at a snapshot. It has no scene tree: clicks are answered by the photos.
+    ///
+    /// # Errors
+    /// When the snapshot cannot be read: a newer one may have replaced it.
+    pub fn open_snapshot(
+        folder: &RunFolder,
+        snapshot: &TrainingSnapshot,
+        options: SessionOptions,
+    ) -> Result<Session, RunError> {
+        Session::of(folder, folder.load_snapshot(snapshot)?, None, options)
+    }
+
+    /// A session of a loaded run; `training` is the key of its training, if that is over.
+    fn of(
+        folder: &RunFolder,
+        loaded: Loaded,
+        training: Option<String>,
+        options: SessionOptions,
+    ) -> Result<Session, RunError> {
+        let Loaded { settings: made_with, scene, model, field } = loaded;
+        let SessionOptions { providers, tree, stopper } = options;
+        let providers = match providers {
+            Some(providers) => providers,
+            None => code::providers_for(folder, &Code::given(&[]))?,
+        };
+        let providers = leased(&providers);
+        let size = made_with.scene.size;
+        let engine = choose_engine(&made_with.run, log_loss)?.engine;
+        let features = match field {
+            Some(field) => {
+                let mut features = SplatFeatures::new(field.channels, field.values)?;
+                features.bring(&*engine)?;
+                Some(Arc::new(features))
+            }
+            None => None,
+        };
+        let tree = match training.as_ref().filter(|_| tree) {
+            Some(geometry) => {
+                let segmenter = &*providers.segmenter;
+                let source = TreeSource { scene: &scene, model: &model, geometry, size, segmenter };
+                let tree = source.tree(&folder.cache()?, &|| stopper.phase() != Phase::Running)?;
+                tree.map(|tree| KeyedTree { key: source.key().to_string(), tree: Arc::new(tree) })
+            }
+            None => None,
+        };
+        let scene = Arc::new(scene);
+        let decoded = DecodedPhotos::new(scene.clone(), size);
+        let photos = Arc::new(move |view: usize| decoded.read(view));
+        let system = System::new(SystemOptions {
+            threads: made_with.run.threads as usize,
+            ..SystemOptions::default()
+        })?;
+        let (tasks, inbox) = mailbox::<SegmentTask>("segmenter", Limits::default());
+        let views = scene.views.iter().map(|v| PosedView { camera: v.camera.scaled_to(size), ..v.into() });
+        let views: Arc<Vec<PosedView>> = Arc::new(views.collect());
+        let barred: Arc<Vec<bool>> = Arc::new(scene.views.iter().map(|v| v.test).collect());
+        let skies = Arc::new(skies::of_run(folder, &scene, size, providers.sky.clone())?);
+        let transients = Arc::new(transients::of_run(folder, &scene));
+        let splats = Arc::new(model.splats.clone());
+        let (options, segmenter) = (model.options(), providers.segmenter.clone());
+        let engine_of_actor = engine.clone();
+        let tree_of_actor = tree.as_ref().map(|keyed| keyed.tree.clone());
+        system.spawn(inbox, ActorOptions { attempts: 1, ..ActorOptions::default() }, move || {
+            Ok(SegmentActor {
+                engine: engine_of_actor.clone(),
+                options,
+                splats: splats.clone(),
+                views: views.clone(),
+                barred: barred.clone(),
+                features: features.clone(),
+                photos: photos.clone(),
+                skies: skies.clone(),
+                transients: transients.clone(),
+                segmenter: segmenter.clone(),
+                tree: tree_of_actor.clone(),
+                graph: None,
+            })
+        })?;
+        let files = ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()));
+        let folder = folder.clone();
+        Ok(Session {
+            folder,
+            made_with,
+            scene,
+            model,
+            engine,
+            providers,
+            training,
+            tree,
+            files,
+            tasks,
+            system,
+        })
+    }
+
+    /// The provider of the masks: `built-in`, or `sam:` and a model's name.
+    pub fn provider(&self) -> &str {
+        &self.providers.name
+    }
+
+    /// The run's photos and cameras.
+    pub fn scene(&self) -> &Arc<Scene> {
+        &self.scene
+    }
+
+    /// The trained scene.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// The scene tree; `None` where the provider of the masks finds objects by itself, and where none was asked for.
+    pub fn tree(&self) -> Option<&Arc<SceneTree>> {
+        self.tree.as_ref().map(|keyed| &keyed.tree)
+    }
+
+    /// Key of the training that the scene is of; `None` where no ledger names it.
+    pub fn training(&self) -> Option<&str> {
+        self.training.as_deref()
+    }
+
+    /// The run's folder.
+    pub fn folder(&self) -> &RunFolder {
+        &self.folder
+    }
+
+    /// What the list of the scene's objects is made of.
+    pub(crate) fn list_request(&self) -> Result<ListRequest<'_>, RunError> {
+        let Some(KeyedTree { key, tree }) = &self.tree else {
+            return Err(RunError::Request(format!(
+                "this run has no scene tree, so that its objects cannot be listed: {} finds objects by itself",
+                self.providers.name
+            )));
+        };
+        let size = self.made_with.scene.size;
+        Ok(ListRequest { scene: &self.scene, model: &self.model, size, tree, key: key.clone() })
+    }
+
+    /// Asks for the object of the prompts, or for one of the scene's list. Queries are answered one after the other; `cancel`
+    /// ends this one.
+    ///
+    /// # Errors
+    /// When the prompts cannot be used, the list is of an earlier training, or the session has ended.
+    pub fn ask(
+        &self,
+        replay: &Replay,
+        settings: &SegmentSettings,
+        cancel: &Stopper,
+    ) -> Result<PendingAnswer, RunError> {
+        let (prompts, group) = match &replay.object {
+            Some(object) => {
+                let (view, group) = self.listed(object)?;
+                (vec![(view, Prompts::default())], Some(group))
+            }
+            None => {
+                check_all(&replay.prompts)?;
+                let queries = replay.prompts.iter().map(|p| self.query(p));
+                (queries.collect::<Result<Vec<_>, _>>()?, None)
+            }
+        };
+        if prompts.is_empty() {
+            return Err(SegmentError::NoPrompt.into());
+        }
+        // An unknown photo is reported at once.
+        light::requested(&settings.object_appearance).lights(&self.scene, &self.model)?;
+        let (reply, answers) = mailbox::<SegmentReply>("answers", Limits::default());
+        let task = SegmentTask { prompts, group, settings: settings.clone(), cancel: cancel.clone(), reply };
+        self.tasks.blocking_send_urgent(task).map_err(|e| failed(e.to_string()))?;
+        Ok(PendingAnswer {
+            replay: Replay { settings: Some(settings.clone()), ..replay.clone() },
+            scene: self.scene.clone(),
+            size: self.made_with.scene.size,
+            began: Instant::now(),
+            observer: self.system.observer(),
+            stoppers: [cancel.clone(), self.system.stopper()],
+            answers,
+        })
+    }
+
+    /// The view that shows an object of the scene's list best, and its group.
+    fn listed(&self, object: &ObjectQuery) -> Result<(usize, GroupCandidate), RunError> {
+        let request = self.list_request()?;
+        if object.tree != request.key {
+            return Err(RunError::Request(
+                "the scene has been trained again since its objects were listed: `segwild objects RUN` lists them again".into(),
+            ));
+        }
+        let group = request.tree.parts().groups.into_iter().nth(object.number.wrapping_sub(1));
+        let none = || RunError::Request(format!("there is no object {}", object.number));
+        Ok((find(&self.scene, &object.photo)?, group.ok_or_else(none)?))
+    }
+
+    /// The view of a photo's prompts, and the prompts in pixels of the view at working size.
+    fn query(&self, p: &PhotoPrompts) -> Result<(usize, Prompts), RunError> {
+        let index = find(&self.scene, &p.photo)?;
+        let view = &self.scene.views[index];
+        let (full, small) = (&view.camera, view.camera.scaled_to(self.made_with.scene.size));
+        for point in &p.prompts.points {
+            if !full.contains(glam::Vec2::new(point.x, point.y)) {
+                let (photo, x, y) = (p.photo.clone(), point.x, point.y);
+                let (width, height) = (full.width, full.height);
+                return Err(SegmentError::OutsideFrame { photo, x, y, width, height }.into());
+            }
+        }
+        let inner = view.prompts_from_taken(&p.prompts).map_err(|[x, y]| {
+            RunError::Request(format!(
+                "photo {}: ({x}, {y}) lies where the lens bends the photo out of the undistorted one that is worked with; click \
+                 nearer to the middle",
+                p.photo
+            ))
+        })?;
+        let (sx, sy) = (small.width as f32 / full.width as f32, small.height as f32 / full.height as f32);
+        Ok((index, inner.scaled(sx, sy)))
+    }
+}
