@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use segwild_farm::{JobTurn, Needs};
 use segwild_flow::WorkerState;
 use segwild_flow::ledger::LiveMailbox;
-use segwild_pipeline::{needs, stages_of};
+use segwild_pipeline::{Extent, Need, Stage, needs, stages_of};
 
 use crate::view::{ActorView, SceneState, SceneView, StageView};
 use crate::words::{bytes, count, duration};
@@ -25,6 +25,15 @@ fn how_far(stage: &StageView) -> String {
     text
 }
 
+/// What a stage needs, while it is not there: how far the other stage is.
+fn open(need: &Need, all: &[StageView]) -> Option<String> {
+    let stage = all.iter().find(|s| s.name == need.stage.name() && s.state != "done")?;
+    Some(match (need.stage, need.extent) {
+        (Stage::Geometry, Extent::Part) => format!("the snapshot of {}", how_far(stage)),
+        _ => how_far(stage),
+    })
+}
+
 /// Stages that have not started wait for those before them.
 pub(crate) fn stages(all: &mut [StageView], running: bool) {
     let before = all.to_vec();
@@ -33,15 +42,11 @@ pub(crate) fn stages(all: &mut [StageView], running: bool) {
             stage.why = Some("no process works on this run".into());
             continue;
         }
-        let open: Vec<String> = needs(&stage.name)
-            .iter()
-            .filter_map(|need| before.iter().find(|s| s.name == *need && s.state != "done"))
-            .map(how_far)
-            .collect();
-        stage.why = Some(match (stage.name.as_str(), open.is_empty()) {
-            (_, true) => "about to start, or not requested".into(),
-            ("masks", false) => format!("waits for the snapshot of {}", open.join(", ")),
-            (_, false) => format!("waits for {}", open.join(", ")),
+        let needs = Stage::named(&stage.name).map_or_else(Vec::new, needs);
+        let open: Vec<String> = needs.iter().filter_map(|need| open(need, &before)).collect();
+        stage.why = Some(match open.is_empty() {
+            true => "about to start, or not requested".into(),
+            false => format!("waits for {}", open.join(", ")),
         });
     }
 }
@@ -90,9 +95,9 @@ fn no_work(actor: &str, stages: &[StageView]) -> String {
     if actor == "coordinator" && !going.is_empty() {
         return format!("no message: {} under way", going.join(", "));
     }
-    let next = stages_of(actor)
-        .iter()
-        .find_map(|name| stages.iter().find(|s| s.name == *name && s.state != "done" && s.state != "failed"));
+    let next = stages_of(actor).iter().find_map(|own| {
+        stages.iter().find(|s| s.name == own.name() && s.state != "done" && s.state != "failed")
+    });
     match next {
         None => "no work left".into(),
         Some(StageView { name, why: Some(_), .. }) => format!("no work until {name} can start"),

@@ -1,8 +1,39 @@
-//! One scene's graph: connects the four actors, overlaps their work, and resumes interrupted runs.
+//! One scene's run: its stages, what they keep on disk, and what comes of it.
 //!
 //! A run is kept in a [`RunFolder`]. [`run()`] fills it: sky and embeddings while geometry trains, masks from a
-//! snapshot while geometry trains on, then the feature field, held-out scores and the report. A [`Session`] keeps a run
-//! in memory for prompts; [`render()`] and [`score()`] read the folder.
+//! snapshot while geometry trains on, then the feature field, held-out scores and the report. A stopped or killed run
+//! goes on where it was, and what is in the cache is not made again. A [`Session`] keeps a run in memory for prompts;
+//! [`render()`] and [`score()`] read the folder.
+//!
+//! What it is not: it computes nothing by itself. The four actors train, segment and lift, the 2D models are
+//! `segwild_vision`'s, and many scenes are the farm's.
+//!
+//! | folder | what it has | start at |
+//! |---|---|---|
+//! | `run` | prepare, plan, execute, finish; the stages and their graph | `run/mod.rs`, `run/stages/` |
+//! | `artifacts` | the run folder, the cache and its keys, checkpoints | `artifacts/folder.rs`, `artifacts/keys.rs` |
+//! | `session` | what a click holds | `session/resident.rs` |
+//! | `output` | renders, appearances, scores, objects, the report | `output/render.rs` |
+//! | `transients` | masks of transients, and who wrote them | `transients/mod.rs` |
+//!
+//! Which stage needs what is data, and schedules a run:
+//!
+//! ```
+//! use segwild_pipeline::{Extent, Stage, needs};
+//! let sky = needs(Stage::Geometry)[0];
+//! // The training starts at once, and waits for the sky of each photo when it comes to it.
+//! assert_eq!((sky.stage, sky.extent), (Stage::Sky, Extent::PerPhoto));
+//! ```
+//!
+//! A run of a scene, with every setting at its default:
+//!
+//! ```no_run
+//! use segwild_pipeline::{RunFolder, RunOptions, Settings, run};
+//! let folder = RunFolder::create("runs/trevi".as_ref())?;
+//! let summary = run("photos/trevi".as_ref(), &folder, &Settings::default(), &RunOptions::default())?;
+//! println!("{} splats of {} photos", summary.splats, summary.photos);
+//! # Ok::<_, segwild_pipeline::RunError>(())
+//! ```
 
 mod accelerator;
 mod artifacts;
@@ -31,12 +62,13 @@ pub use output::objects::{
 };
 pub use output::render::{Mode, RenderContent, RenderRequest, RenderedFile, render};
 pub use output::report::write_report;
-pub use run::explain::{StagePlan, StageVerdict, explain};
-pub use run::graph::{RunOptions, STAGES, Summary, needs, run, stages_of};
-pub use run::memory::MemoryNeed;
 pub use session::prompts::{ObjectQuery, PhotoPrompts, Replay};
 
-pub use run::until::Until;
+pub use run::{
+    ActorInboxes, ActorOutcome, ActorParts, ComputingActors, DiagramFormat, Extent, MemoryNeed, Need,
+    RunOptions, Stage, StagePlan, StageVerdict, Summary, Until, Wiring, diagram, explain, needs, run,
+    run_with_actors, stages_of,
+};
 pub use segwild_segmenter::AnswerStep;
 pub use segwild_trainer::{AppearanceChoice, BudgetChoice, Preset};
 pub use session::{

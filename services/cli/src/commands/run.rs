@@ -8,11 +8,14 @@ use crate::operators::{
     child_args, have_files_to_open, keep_to_cores, listen, listen_args, stop_with_parent,
 };
 use crate::progress::{duration, show, stop_on_ctrl_c};
+use clap::builder::PossibleValuesParser;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_flow::{Events, Stopper};
 use segwild_pipeline::{
-    Code, RunError, RunFolder, RunOptions, Settings, StagePlan, StageVerdict, Summary, Until,
+    Code, DiagramFormat, RunError, RunFolder, RunOptions, Settings, StagePlan, StageVerdict, Summary, Until,
+    diagram,
 };
+use segwild_scene::settings::Value;
 use segwild_scene::{SceneError, Skipped};
 use std::path::{Path, PathBuf};
 
@@ -22,7 +25,7 @@ const PAGE_CHECKPOINTS: u32 = 4;
 /// The command's arguments.
 pub fn command() -> Command {
     let scene = Arg::new("scene")
-        .required(true)
+        .required_unless_present("graph")
         .value_parser(value_parser!(PathBuf))
         .help("COLMAP folder, Photo Tourism folder, or folder with transforms.json");
     child_args(listen_args(serve_args(with_settings(
@@ -31,8 +34,18 @@ pub fn command() -> Command {
     .arg(scene)
     .arg(args::path("out", "Run folder [default: runs/NAME]"))
     .arg(args::path("config", "Settings file [default: segwild.toml in the run folder, if there]"))
-    .arg(until("Stop after this stage, or after training step N; a later N goes on from there"))
+    .arg(until("Stop after this stage or training step; a later one goes on from there"))
     .arg(flag("explain", "Only print which stages would be computed again, and why"))
+    .arg(
+        Arg::new("graph")
+            .long("graph")
+            .value_name("FORMAT")
+            .num_args(0..=1)
+            .default_missing_value("mermaid")
+            .value_parser(PossibleValuesParser::new(DiagramFormat::CHOICES))
+            .requires("explain")
+            .help("With --explain: print the graph of stages"),
+    )
     .arg(json())
     .after_help(examples(
         "segwild run photos/trevi --out runs/trevi",
@@ -42,9 +55,13 @@ pub fn command() -> Command {
 
 /// Runs a scene, or what is left of it.
 pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
+    if let Some(format) = matches.get_one::<String>("graph") {
+        let format = DiagramFormat::read(format).expect("clap lets no other value through");
+        return print_line(diagram(format).trim_end());
+    }
     keep_to_cores(matches)?;
     have_files_to_open()?;
-    let scene = path(matches, "scene").expect("clap requires it");
+    let scene = path(matches, "scene").expect("clap requires it where no graph is to be printed");
     let out = path(matches, "out").unwrap_or_else(|| default_folder(&scene));
     let mut settings = settings(matches, &RunFolder::at(&out))?;
     let json = matches.get_flag("json");

@@ -374,3 +374,19 @@ fn a_reader_that_is_gone_is_no_error() {
     let output = child.wait_with_output().expect("it ends");
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
 }
+
+#[test]
+fn the_graph_of_the_stages_is_printed_without_a_scene() {
+    let mermaid = works(&["run", "--explain", "--graph"]);
+    assert!(
+        mermaid.starts_with("flowchart LR\n") && mermaid.contains("sky -. \"sky*\" .-> geometry"),
+        "{mermaid}"
+    );
+    let dot = works(&["run", "--explain", "--graph", "dot"]);
+    assert!(dot.starts_with("digraph run {\n") && dot.trim_end().ends_with('}'), "{dot}");
+    for (args, words) in [(&["run", "--graph"][..], "--explain"), (&["run"], "SCENE")] {
+        let output = segwild(args);
+        assert_eq!(output.status.code(), Some(2), "{args:?}");
+        assert!(text(&output.stderr).contains(words), "{}", text(&output.stderr));
+    }
+}

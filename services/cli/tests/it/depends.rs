@@ -2,7 +2,7 @@
 //! would have come of it.
 
 use crate::common::*;
-use segwild_pipeline::{RunFolder, Settings, StageVerdict, explain};
+use segwild_pipeline::{RunFolder, Settings, Stage, StageVerdict, explain};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -95,8 +95,8 @@ fn done_again(run: &Path, settings: &Settings) -> Vec<&'static str> {
     let plans =
         explain(&shared_run().scene, &RunFolder::at(run), settings, None).expect("it can be explained");
     let again =
-        plans.into_iter().filter(|plan| plan.verdict != StageVerdict::Reused && plan.stage != "report");
-    again.map(|plan| plan.stage).collect()
+        plans.into_iter().filter(|plan| plan.verdict != StageVerdict::Reused && plan.stage != Stage::Report);
+    again.map(|plan| plan.stage.name()).collect()
 }
 
 fn settings_of(run: &Path) -> Settings {

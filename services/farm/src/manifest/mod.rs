@@ -170,7 +170,7 @@ impl BatchManifest {
             let settings = settings(d, own).map_err(wrong)?;
             let stop = own.until.as_ref().or(d.until.as_ref()).map(|s| s.read()).transpose();
             let until = until.or(stop.map_err(wrong)?).map(|until| match until {
-                Until::Stage(stage) => stage.to_owned(),
+                Until::Stage(stage) => stage.to_string(),
                 Until::Step(step) => step.to_string(),
             });
             let scene = SceneJob { name: name.clone(), path, out, settings, until };

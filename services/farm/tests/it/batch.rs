@@ -259,7 +259,7 @@ fn each_scene_gets_its_memory_budget_and_its_last_step() {
     assert!(last_call("good2").contains("--memory-budget 1024 "), "{}", last_call("good2"));
     assert!(last_call("good2").ends_with("--until 500"), "{}", last_call("good2"));
     // The command line has the last word, and a scene that stops elsewhere is run again.
-    let until = Some(segwild_pipeline::Until::Stage("geometry"));
+    let until = segwild_pipeline::Until::stage("geometry");
     let options = BatchOptions { until, ..yard.options.clone() };
     let yard = Yard { options, ..yard };
     let summary = yard.run(&mut |_| {}).expect("it runs");

@@ -7,7 +7,7 @@ use segwild_flow::ledger::{
     EventRow, LiveMailbox, LiveSample, LiveWorker, PastSample, StageRow, State, ViewCounts,
 };
 use segwild_flow::{CacheCounters, Ledger, WorkerState};
-use segwild_pipeline::{RunFolder, STAGES};
+use segwild_pipeline::{RunFolder, Stage};
 use serde::{Deserialize, Serialize};
 
 use super::{Disk, STALE_S, name_of};
@@ -373,8 +373,8 @@ fn stages(
     now: f64,
     running: bool,
 ) -> Vec<StageView> {
-    let mut names: Vec<&str> = STAGES.to_vec();
-    names.extend(rows.iter().map(|r| r.name.as_str()).filter(|n| !STAGES.contains(n)));
+    let mut names: Vec<&str> = Stage::LISTED.map(Stage::name).to_vec();
+    names.extend(rows.iter().map(|r| r.name.as_str()).filter(|name| Stage::named(name).is_none()));
     let view = |name: &str| {
         let row = rows.iter().find(|r| r.name == name);
         let live = sample.stages.iter().find(|s| s.stage == name);

@@ -5,6 +5,9 @@ use segwild_flow::files;
 use serde::{Deserialize, Serialize};
 use wincode::{SchemaRead, SchemaWrite};
 
+/// Kind of the cache's records of how a training went.
+pub const HISTORY: &str = "history";
+
 /// A line of the history.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, SchemaRead, SchemaWrite)]
 pub struct Moment {

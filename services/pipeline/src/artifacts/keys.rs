@@ -3,12 +3,11 @@
 //! Same key, same bytes. A key hashes everything that the artefact depends on, so that a changed setting recomputes
 //! exactly what depends on it.
 
+use super::scene_tree::tree_key;
 use crate::output::evaluate::protocol_of;
-use crate::output::objects::tree_key;
-use crate::run::continued::TrainingOrigin;
 use crate::run::memory;
 use crate::transients::Corrections;
-use crate::{RunError, Settings, Until};
+use crate::{RunError, Settings, Stage, Until};
 use rayon::prelude::*;
 use segwild_features::{Compression, FeatureSettings};
 use segwild_flow::Key;
@@ -81,6 +80,19 @@ fn without_effect(settings: &Settings) -> Vec<&'static str> {
     ];
     names.extend(idle.iter().filter(|(_, idle)| *idle).map(|(name, _)| *name));
     names
+}
+
+/// The training that another one continues.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TrainingOrigin {
+    /// Key of the training before.
+    pub training: Key,
+    /// The step it ended at.
+    pub step: u32,
+    /// The step that the continued training ends at.
+    pub end: u32,
+    /// Key of the snapshot that masks are proposed from: that of the training without corrections.
+    pub snapshot: Key,
 }
 
 /// The first and the last step of a training.
@@ -387,22 +399,22 @@ impl Keys {
     }
 
     /// The key of a stage in the ledger.
-    pub fn stage(&self, stage: &str) -> Key {
+    pub fn stage(&self, stage: Stage) -> Key {
         let all = |domain, keys: &[Key]| {
             keys.iter().fold(Key::of(domain), |k, artefact| k.key(&artefact.hex(), artefact)).finish()
         };
         match stage {
-            "sky" => all("sky stage", &self.sky),
-            "embed" => all("embed stage", &self.embedding),
-            "masks" => all("masks stage", &self.masks),
-            "geometry" => self.geometry,
-            "features" => self.features,
-            "evaluate" => self.evaluation,
-            "objects" => {
+            Stage::Sky => all("sky stage", &self.sky),
+            Stage::Embed => all("embed stage", &self.embedding),
+            Stage::Masks => all("masks stage", &self.masks),
+            Stage::Geometry => self.geometry,
+            Stage::Features | Stage::Visibility => self.features,
+            Stage::Evaluate => self.evaluation,
+            Stage::Objects => {
                 let tree = tree_key(&self.geometry.to_string(), &self.segmenter);
                 Key::of("objects stage").key("tree", &tree).value("format", LIST_FORMAT).finish()
             }
-            _ => Key::of("report").key("features", &self.features).finish(),
+            Stage::Report => Key::of("report").key("features", &self.features).finish(),
         }
     }
 

@@ -9,4 +9,5 @@ pub(crate) mod intact;
 pub(crate) mod keys;
 pub(crate) mod recompute;
 pub(crate) mod region_cache;
+pub(crate) mod scene_tree;
 pub(crate) mod traces;

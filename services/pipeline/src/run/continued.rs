@@ -6,7 +6,7 @@
 //! it ends at. `transients/continued.json` records the training before, so that the same command finds it again.
 
 use crate::artifacts::cache::present_training;
-use crate::artifacts::keys::{End, Keys};
+use crate::artifacts::keys::{End, Keys, TrainingOrigin};
 use crate::transients::Corrections;
 use crate::{RunError, RunFolder, Settings};
 use segwild_flow::{Cache, Key, Ledger};
@@ -14,19 +14,6 @@ use serde::{Deserialize, Serialize};
 
 /// The file of the record in the run folder.
 const RECORD: &str = "transients/continued.json";
-
-/// The training that another one continues.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct TrainingOrigin {
-    /// Key of the training before.
-    pub training: Key,
-    /// The step it ended at.
-    pub step: u32,
-    /// The step that the continued training ends at.
-    pub end: u32,
-    /// Key of the snapshot that masks are proposed from: that of the training without corrections.
-    pub snapshot: Key,
-}
 
 /// The record of the last continued training.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -3,11 +3,12 @@
 //! Every stage has a key that hashes all it depends on ([`Keys`]). A changed setting is a cause if it alone changes the
 //! stage's key; there is no table of dependencies.
 
-use crate::artifacts::keys::{Digests, End, Keys};
+use super::prepare::UNTIL_STEP;
+use super::stage::Stage;
+use crate::artifacts::keys::{Digests, End, Keys, TrainingOrigin};
 use crate::code;
 use crate::run::choice;
-use crate::run::continued::{ContinuedTraining, TrainingOrigin};
-use crate::run::graph::{STAGES, UNTIL_STEP};
+use crate::run::continued::ContinuedTraining;
 use crate::transients::Corrections;
 use crate::{RunError, RunFolder, Settings, Until, choose_engine};
 use segwild_flow::ledger::{StageRow, State};
@@ -58,8 +59,8 @@ pub enum StageVerdict {
 /// One stage of the plan.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct StagePlan {
-    /// The stage, one of [`STAGES`].
-    pub stage: &'static str,
+    /// The stage, one of [`Stage::LISTED`].
+    pub stage: Stage,
     /// What the run would do with it.
     #[serde(flatten)]
     pub verdict: StageVerdict,
@@ -143,17 +144,17 @@ pub fn explain(
     };
     let cache = Cache::at(folder.path().join("cache"));
     let mut plans = Vec::new();
-    for stage in STAGES {
+    for stage in Stage::LISTED {
         let verdict = verdict(stage, &now, &cache, folder, ledger.as_ref())?;
         let why = match (&verdict, &before) {
             (StageVerdict::Reused | StageVerdict::Stands { .. } | StageVerdict::NotReached, _) => Vec::new(),
             (_, None) => vec!["the run is new".into()],
-            _ if stage == "report" => vec!["it is written at the end of every run".into()],
+            _ if stage == Stage::Report => vec!["it is written at the end of every run".into()],
             (_, Some(before)) => before.why(stage, &now, &verdict, ledger.as_ref())?,
         };
         plans.push(StagePlan { stage, verdict, why });
         // The stages after the training need its end.
-        if until == Until::stage(stage) || stage == "geometry" && now.goal < now.end {
+        if until == Some(Until::Stage(stage)) || stage == Stage::Geometry && now.goal < now.end {
             break;
         }
     }
@@ -161,23 +162,23 @@ pub fn explain(
 }
 
 fn verdict(
-    stage: &str,
+    stage: Stage,
     now: &Situation,
     cache: &Cache,
     folder: &RunFolder,
     ledger: Option<&Ledger>,
 ) -> Result<StageVerdict, RunError> {
     let keys = &now.keys;
-    if stage == "geometry" {
+    if stage == Stage::Geometry {
         return geometry(now, cache, folder, ledger);
     }
-    if stage == "masks" && now.goal < now.snapshot_step && !cache.contains(&keys.snapshot) {
+    if stage == Stage::Masks && now.goal < now.snapshot_step && !cache.contains(&keys.snapshot) {
         return Ok(StageVerdict::NotReached);
     }
     let per_view = match stage {
-        "sky" => Some((&keys.sky, true)),
-        "embed" => Some((&keys.embedding, false)),
-        "masks" => Some((&keys.masks, false)),
+        Stage::Sky => Some((&keys.sky, true)),
+        Stage::Embed => Some((&keys.embedding, false)),
+        Stage::Masks => Some((&keys.masks, false)),
         _ => None,
     };
     if let Some((keys_of_stage, with_test)) = per_view {
@@ -192,9 +193,9 @@ fn verdict(
         });
     }
     let there = match stage {
-        "features" => cache.contains(&keys.features),
-        "evaluate" | "objects" => match ledger {
-            Some(ledger) => ledger.stage_is_done(stage, &keys.stage(stage))?,
+        Stage::Features => cache.contains(&keys.features),
+        Stage::Evaluate | Stage::Objects => match ledger {
+            Some(ledger) => ledger.stage_is_done(stage.name(), &keys.stage(stage))?,
             None => false,
         },
         _ => false,
@@ -202,7 +203,7 @@ fn verdict(
     Ok(if there { StageVerdict::Reused } else { StageVerdict::Made })
 }
 
-/// What a run would do with the training: the same decision as in `Coordinator::start_geometry`.
+/// What a run would do with the training: the same decision as in the start of the stage `geometry`.
 fn geometry(
     now: &Situation,
     cache: &Cache,
@@ -215,7 +216,7 @@ fn geometry(
     }
     let mut steps: Vec<u32> = Vec::new();
     if let Some(ledger) = ledger {
-        let rows = ledger.checkpoints("geometry", &now.keys.training)?;
+        let rows = ledger.checkpoints(Stage::Geometry.name(), &now.keys.training)?;
         // A run passes over checkpoints that are gone or whose content has changed.
         let whole = rows.iter().filter(|row| {
             let bytes = folder.checkpoint(row).and_then(|path| files::read_plain(&path).ok());
@@ -247,7 +248,7 @@ struct Before {
     /// Per changed setting, the keys when it alone changes.
     alone: Vec<Keys>,
     /// Photos that a stage gave up: stage, view.
-    given_up: Vec<(&'static str, usize)>,
+    given_up: Vec<(Stage, usize)>,
     /// The old keys, without the photos that were given up.
     without_given_up: Keys,
     /// How the networks differ from those that the run was made with.
@@ -287,33 +288,34 @@ impl Before {
         }
         let mut given_up = Vec::new();
         for (stage, keys) in [
-            ("sky", &then.keys.sky),
-            ("embed", &then.keys.embedding),
-            ("masks", &then.keys.masks),
-            ("visibility", &then.keys.visibility),
+            (Stage::Sky, &then.keys.sky),
+            (Stage::Embed, &then.keys.embedding),
+            (Stage::Masks, &then.keys.masks),
+            (Stage::Visibility, &then.keys.visibility),
             // The scores have one key for all photos, so that the skies' keys, one per view, stand in.
-            ("evaluate", &then.keys.sky),
+            (Stage::Evaluate, &then.keys.sky),
         ] {
-            for row in ledger.views(stage)?.iter().filter(|row| row.outcome.state == State::Failed) {
+            for row in ledger.views(stage.name())?.iter().filter(|row| row.outcome.state == State::Failed) {
                 // A result without another photo's sky has another key; the photo counts all the same.
                 let of_then = |i: &usize| {
-                    matches!(stage, "masks" | "visibility" | "evaluate") || keys[*i].to_string() == row.key
+                    matches!(stage, Stage::Masks | Stage::Visibility | Stage::Evaluate)
+                        || keys[*i].to_string() == row.key
                 };
                 let view = (0..keys.len()).filter(of_then).find(|&i| then.scene.views[i].name == row.view);
                 given_up.extend(view.map(|view| (stage, view)));
             }
         }
-        let by = |stage: &str, test: bool| -> BTreeSet<usize> {
+        let by = |stage: Stage, test: bool| -> BTreeSet<usize> {
             let views = given_up.iter().filter(|(s, _)| *s == stage).map(|(_, view)| *view);
             views.filter(|&view| then.scene.views[view].test == test).collect()
         };
-        let mut without_given_up = then.keys.without_skies(&by("sky", false), &by("sky", true));
+        let mut without_given_up = then.keys.without_skies(&by(Stage::Sky, false), &by(Stage::Sky, true));
         without_given_up.features = without_given_up.features_without(
-            &by("embed", false),
-            &by("masks", false),
-            &by("visibility", false),
+            &by(Stage::Embed, false),
+            &by(Stage::Masks, false),
+            &by(Stage::Visibility, false),
         );
-        without_given_up.evaluation = without_given_up.evaluation_without(&by("evaluate", true));
+        without_given_up.evaluation = without_given_up.evaluation_without(&by(Stage::Evaluate, true));
         let networks = code::changes(&code::recorded(folder), &then.networks);
         Ok(Before { stages: ledger.stages()?, changed, then, alone, given_up, without_given_up, networks })
     }
@@ -321,7 +323,7 @@ impl Before {
     /// The photos that a stage gave up before and now tries again, in words.
     fn tried_again(&self) -> String {
         let name =
-            |(stage, view): &(&str, usize)| format!("{stage} of {}", self.then.scene.views[*view].name);
+            |(stage, view): &(Stage, usize)| format!("{stage} of {}", self.then.scene.views[*view].name);
         let names: Vec<String> = self.given_up.iter().take(3).map(name).collect();
         let more = self.given_up.len().saturating_sub(names.len());
         let more = if more > 0 { format!(" and {more} more") } else { String::new() };
@@ -330,18 +332,18 @@ impl Before {
 
     fn why(
         &self,
-        stage: &str,
+        stage: Stage,
         now: &Situation,
         verdict: &StageVerdict,
         ledger: Option<&Ledger>,
     ) -> Result<Vec<String>, RunError> {
-        let Some(row) = self.stages.iter().find(|row| row.name == stage) else {
+        let Some(row) = self.stages.iter().find(|row| row.name == stage.name()) else {
             return Ok(vec!["it was not done before".into()]);
         };
         let mut why = Vec::new();
         let then = self.then.keys.stage(stage);
         for ((name, old, new), keys) in self.changed.iter().zip(&self.alone) {
-            let snapshot = stage == "geometry" && keys.snapshot != self.then.keys.snapshot;
+            let snapshot = stage == Stage::Geometry && keys.snapshot != self.then.keys.snapshot;
             if keys.stage(stage) != then || snapshot {
                 why.push(format!("{name}: {} -> {}", shown(old), shown(new)));
             }
@@ -353,7 +355,7 @@ impl Before {
         let (was, goal) = (self.then.goal, now.goal);
         if was != goal && (why.is_empty() && now.keys.stage(stage).to_string() != row.key) {
             why.push(format!("the training is to end at step {goal}, and was to end at step {was}"));
-            if stage == "geometry" && *verdict == StageVerdict::Made {
+            if stage == Stage::Geometry && *verdict == StageVerdict::Made {
                 why.push(format!("there is no checkpoint of it at or before step {goal}"));
             }
         }
@@ -373,7 +375,7 @@ impl Before {
     /// Which photos are new, gone or changed, in words. The keys of the skies show it, since every photo has one.
     fn inputs(&self, ledger: Option<&Ledger>) -> Result<String, RunError> {
         let known = match ledger {
-            Some(ledger) => ledger.views("sky")?,
+            Some(ledger) => ledger.views(Stage::Sky.name())?,
             None => Vec::new(),
         };
         let views = &self.then.scene.views;

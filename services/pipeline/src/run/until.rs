@@ -1,14 +1,14 @@
 //! The stage or step at which a run stops.
 
-use crate::run::graph::STAGES;
+use super::stage::Stage;
 use std::fmt;
 use std::str::FromStr;
 
 /// The last thing a run does: a stage, or a step of the training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Until {
-    /// This stage of [`STAGES`], and what it needs.
-    Stage(&'static str),
+    /// This stage, one of [`Stage::LISTED`], and what it needs.
+    Stage(Stage),
     /// This step of the training. Fewer than the settings' `steps` leaves the training to be continued; more continues
     /// past the end of its schedules, at their last rates.
     Step(u32),
@@ -17,7 +17,7 @@ pub enum Until {
 impl Until {
     /// A stage by name.
     pub fn stage(name: &str) -> Option<Until> {
-        STAGES.into_iter().find(|s| *s == name).map(Until::Stage)
+        Stage::named(name).map(Until::Stage)
     }
 }
 
@@ -29,7 +29,8 @@ impl FromStr for Until {
             Ok(0) => Err("there is no step 0: give 1 or more".into()),
             Ok(step) => Ok(Until::Step(step)),
             Err(_) => Until::stage(text).ok_or_else(|| {
-                format!("neither a stage ({}) nor a number of training steps", STAGES.join(", "))
+                let names = Stage::LISTED.map(Stage::name).join(", ");
+                format!("neither a stage ({names}) nor a number of training steps")
             }),
         }
     }
@@ -38,7 +39,7 @@ impl FromStr for Until {
 impl fmt::Display for Until {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Until::Stage(stage) => f.write_str(stage),
+            Until::Stage(stage) => f.write_str(stage.name()),
             Until::Step(step) => write!(f, "step {step}"),
         }
     }
@@ -50,7 +51,7 @@ mod tests {
 
     #[test]
     fn a_stage_or_a_step() {
-        assert_eq!("geometry".parse(), Ok(Until::Stage("geometry")));
+        assert_eq!("geometry".parse(), Ok(Until::Stage(Stage::Geometry)));
         assert_eq!("500".parse(), Ok(Until::Step(500)));
         for wrong in ["0", "-3", "geometri", ""] {
             let message = wrong.parse::<Until>().unwrap_err();

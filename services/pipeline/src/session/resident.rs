@@ -6,9 +6,10 @@ use super::prompts::check_all;
 use crate::accelerator::leased;
 use crate::artifacts::folder::{Loaded, TrainingSnapshot};
 use crate::artifacts::images::ImageFiles;
+use crate::artifacts::scene_tree::TreeSource;
 use crate::code::{self, Code};
 use crate::output::light::{self, find};
-use crate::output::objects::{ListRequest, TreeSource};
+use crate::output::objects::ListRequest;
 use crate::run::skies;
 use crate::{
     ObjectQuery, PhotoPrompts, Replay, RunError, RunFolder, Settings, choose_engine, log_loss, transients,

@@ -1,8 +1,9 @@
 //! All objects of a scene as files that other tools open.
 
+use super::bounds::bounds;
 use super::coco::{CocoAnnotation, CocoCategory, CocoFile, CocoImage, CocoRle};
-use super::list::ListedObjects;
-use super::{ObjectList, SceneObject, bounds, sheet};
+use super::list::{ListedObjects, ObjectList, SceneObject};
+use super::sheet;
 use crate::output::light;
 use crate::settings::AT_ONCE;
 use crate::{RunError, Session};
@@ -24,6 +25,13 @@ pub struct ExportedObjects {
     pub objects: usize,
     /// Masks in `coco.json`.
     pub masks: usize,
+}
+
+impl ObjectList {
+    /// Whether it lists the objects of a session's scene: it may be of an earlier training.
+    pub fn is_of(&self, session: &Session) -> bool {
+        session.list_request().is_ok_and(|request| request.key == self.tree)
+    }
 }
 
 /// Writes all objects of a run's list into the folder `out`, as a whole or not at all: `NAME.ply` of each, `labels.ply` (the whole scene;

@@ -1,7 +1,7 @@
 //! The list of a scene's objects: `objects/objects.json` of a run.
 
 use super::sheet;
-use crate::{ObjectQuery, RunError, RunFolder, Session};
+use crate::{ObjectQuery, RunError, RunFolder};
 use segwild_flow::{FileError, Phase, Stopper, fault, files};
 use segwild_scene::{Image, Mask, Scene};
 use segwild_segmenter::PosedView;
@@ -68,11 +68,6 @@ impl ObjectList {
             object.number == i + 1 && (object.name.is_empty() || can_name(&object.name).is_ok())
         };
         list.objects.iter().enumerate().all(sound).then_some(list)
-    }
-
-    /// Whether it lists the objects of a session's scene: it may be of an earlier training.
-    pub fn is_of(&self, session: &Session) -> bool {
-        session.list_request().is_ok_and(|request| request.key == self.tree)
     }
 
     /// The image of a run's list: a thumbnail of each object, with its number.

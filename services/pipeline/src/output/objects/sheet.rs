@@ -1,6 +1,6 @@
 //! Thumbnails of objects, and the sheet of all of them.
 
-use super::bounds;
+use super::bounds::bounds;
 use segwild_scene::{Image, Mask};
 
 /// Sides of a thumbnail in pixels.

@@ -1,0 +1,214 @@
+//! Executes a planned run: the stages that actors compute, then those that the thread of the run computes.
+
+use super::after::AfterActors;
+use super::context::RunContext;
+use super::coordinator::Coordinator;
+use super::diagnostics;
+use super::graph::stage_of_failure;
+use super::node::StageWork;
+use super::options::RunOptions;
+use super::plan::RunPlan;
+use super::prepare::PreparedRun;
+use super::products::Products;
+use super::skies::Skies;
+use super::speed::MaskSpeed;
+use super::stage::Stage;
+use super::stages::NODES;
+use super::tally::Tally;
+use super::view_slots::ViewSlots;
+use super::wiring::Wiring;
+use crate::artifacts::folder::Intake;
+use crate::artifacts::keys::Keys;
+use crate::artifacts::recompute::Recompute;
+use crate::artifacts::traces::Traces;
+use crate::output::evaluate::HeldOut;
+use crate::transients::TrainFit;
+use crate::{RunError, RunFolder};
+use segwild_flow::{ActorFailure, Cache, Event, Events, Key, Report};
+use segwild_masks::{MaskMaker, sasm};
+use segwild_scene::Scene;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// What is left of a run whose own data is freed.
+pub struct ExecutedRun<'a> {
+    /// What the actors and the stages did when.
+    pub report: Report,
+    pub traces: Traces<'a>,
+    pub intake: Intake,
+    pub scores: Option<HeldOut>,
+    /// Splats of the trained scene, if it is there.
+    pub splats: Option<usize>,
+    /// The step that the training stands at, when it was to stop before its end.
+    pub paused: Option<u32>,
+    /// Per-photo artefacts that were made, and that were in the cache.
+    pub counts: [usize; 2],
+    /// Key of the report.
+    pub report_key: Key,
+}
+
+/// Executes a run up to what is computed from its folder alone.
+///
+/// # Errors
+/// When a stage fails, the disk fails, or the run is stopped.
+pub fn execute<'a>(
+    prepared: &PreparedRun,
+    plan: &RunPlan,
+    folder: &'a RunFolder,
+    options: &RunOptions,
+    wiring: &dyn Wiring,
+) -> Result<ExecutedRun<'a>, RunError> {
+    let events = &options.events;
+    // A stop while actors are still being started is a stop like any other.
+    let stopped = |error| match error {
+        RunError::Spawn(spawn) if spawn.is_stopping() => RunError::Interrupted,
+        other => other,
+    };
+    let mut coordinator = Coordinator::new(context(prepared, plan, folder, options))?;
+    let traces = Traces::start(folder)?;
+    let (report, outcome) =
+        coordinator.flow(&prepared.providers, &prepared.recorder, wiring).map_err(stopped)?;
+    let mut run = coordinator.run;
+    traces.write(&report)?;
+    end_of_actors(&run, &report, outcome.map_err(stopped))?;
+    let mut intake = prepared.intake.clone();
+    intake.skipped.append(&mut run.tally.skipped);
+    folder.write_json("scene.json", &intake)?;
+
+    let holds_out = !intake.held_out.is_empty();
+    let mut after = AfterActors { run, report, traces, holds_out, scores: None };
+    for node in &NODES {
+        if let StageWork::Run(compute) = node.work
+            && after.run.wants(node.stage)
+        {
+            compute(&mut after)?;
+        }
+    }
+    let AfterActors { run, report, traces, scores, .. } = after;
+    let model = run.made.model.as_ref();
+    if let Some(words) = model.and_then(|m| m.stats.psnr).and_then(diagnostics::unlike) {
+        events.warn(Some(Stage::Geometry.name()), words);
+    }
+    let learnt = TrainFit::of(folder).map(|fit| fit.psnr).zip(scores.as_ref().map(|s| s.psnr));
+    if let Some(words) = learnt.and_then(|(train, held)| diagnostics::overfitted(train, held)) {
+        events.warn(Some(Stage::Evaluate.name()), words);
+    }
+    Ok(ExecutedRun {
+        report,
+        traces,
+        intake,
+        scores,
+        splats: model.map(|model| model.splats.len()),
+        paused: run.made.paused,
+        counts: [run.tally.made, run.tally.cached],
+        report_key: run.keys.stage(Stage::Report),
+    })
+}
+
+/// What the stages of a run share at its start.
+fn context<'a>(
+    prepared: &'a PreparedRun,
+    plan: &'a RunPlan,
+    folder: &'a RunFolder,
+    options: &'a RunOptions,
+) -> RunContext<'a> {
+    let PreparedRun { scene, providers, .. } = prepared;
+    let RunPlan { settings, cache, keys, .. } = plan;
+    let names = Arc::new(Mutex::new(keys.clone()));
+    warn_of_damage(cache, &names, scene, &options.events);
+    let size = settings.scene.size;
+    let recompute = Recompute { scene: scene.clone(), cache: cache.clone(), events: options.events.clone() };
+    let maker = MaskMaker {
+        scene: scene.clone(),
+        size,
+        proposer: providers.proposer.clone(),
+        settings: settings.masks.clone(),
+        depths: sasm::SceneDepths::of(scene),
+    };
+    RunContext {
+        folder,
+        settings,
+        options,
+        ledger: &prepared.ledger,
+        scene: scene.clone(),
+        engine: prepared.engine.clone(),
+        full_keys: keys.clone(),
+        elsewhere: plan.elsewhere.clone(),
+        origin: plan.origin.clone(),
+        keys: keys.clone(),
+        names,
+        training_named: false,
+        cache: cache.clone(),
+        last: plan.last,
+        steps: plan.steps,
+        skies: Arc::new(Skies::new(recompute, size, keys.sky.clone(), providers.sky.clone())),
+        known: plan.known.clone(),
+        segmenter: providers.segmenter.clone(),
+        embedder: providers.embedder.clone(),
+        maker: Arc::new(maker),
+        masks_known: Arc::new(ViewSlots::new("masks")),
+        mask_speed: MaskSpeed::default(),
+        tainted: Arc::default(),
+        bars: BTreeMap::new(),
+        made: Products::default(),
+        tally: Tally::default(),
+    }
+}
+
+/// Ends the run in the ledger where its actors failed or were stopped.
+fn end_of_actors(
+    run: &RunContext<'_>,
+    report: &Report,
+    outcome: Result<(), RunError>,
+) -> Result<(), RunError> {
+    // An actor that gave up has stopped the others: that is not a stop by the user.
+    let failed =
+        |(actor, error): (&str, &str), kind: fn(&str) -> ActorFailure| (stage_of_failure(actor), kind(error));
+    let gave_up = (run.skies.lost().map(|lost| (Stage::Sky, lost)))
+        .or_else(|| Some(failed(report.storage_failure()?, |error| ActorFailure::storage(error))))
+        .or_else(|| Some(failed(report.failures().next()?, |error| ActorFailure::fatal(error))));
+    match (outcome, gave_up) {
+        (Ok(()) | Err(RunError::Interrupted), Some((stage, failure))) => {
+            let (name, reason) = (stage.name(), failure.to_string());
+            run.ledger.fail_stage(name, &run.keys.stage(stage), &reason)?;
+            run.ledger.leave_stages()?;
+            run.options.events.tell(Event::StageFailed { stage: name.into(), error: reason });
+            return Err(RunError::of_stage(name, &failure));
+        }
+        (Err(RunError::Interrupted), None) => {
+            run.ledger.leave_stages()?;
+            return Err(RunError::Interrupted);
+        }
+        (Err(error), _) => return Err(error),
+        (Ok(()), None) => {}
+    }
+    if run.is_stopping() {
+        run.ledger.leave_stages()?;
+        return Err(RunError::Interrupted);
+    }
+    if run.made.paused.is_some() {
+        run.ledger.leave_stages()?;
+    }
+    Ok(())
+}
+
+/// Makes the cache warn of each damaged artefact, with its kind and photo.
+fn warn_of_damage(cache: &Cache, names: &Arc<Mutex<Keys>>, scene: &Arc<Scene>, events: &Events) {
+    let (names, scene, events) = (names.clone(), scene.clone(), events.clone());
+    cache.on_damage(move |key, reason| {
+        let kind = key.split(':').next().unwrap_or(key);
+        let stage = match kind {
+            "embedding" => Stage::Embed.name(),
+            "visibility" => Stage::Features.name(),
+            "history" | "snapshot" => Stage::Geometry.name(),
+            other => other,
+        };
+        let photo = names
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .view_of(key)
+            .map_or(String::new(), |view| format!(" of photo {}", scene.views[view].name));
+        let message = format!("the cache's {kind} record{photo} was damaged ({reason}): it is made again");
+        events.warn(Some(stage), message);
+    });
+}

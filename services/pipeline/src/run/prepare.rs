@@ -1,0 +1,229 @@
+//! Prepares a run: opens its ledger, its scene, the providers and the engine, and examines the photos.
+
+use super::diagnostics;
+use super::memory;
+use super::options::RunOptions;
+use super::until::Until;
+use crate::accelerator::leased;
+use crate::artifacts::folder::Intake;
+use crate::artifacts::images::ImageFiles;
+use crate::artifacts::keys::{Digests, End};
+use crate::artifacts::region_cache::InCache;
+use crate::code;
+use crate::engine::{ChosenEngine, choose_engine};
+use crate::transients::Corrections;
+use crate::transients::authorship;
+use crate::{RunError, RunFolder, Settings};
+use segwild_flow::{Ledger, Phase, Recorder, Sink, files};
+use segwild_objective::Engine;
+use segwild_scene::{Scene, SceneError, Skipped};
+use segwild_vision::Providers;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Name under which the ledger keeps the step that a run is to stop at.
+pub const UNTIL_STEP: &str = "until step";
+
+/// The opened inputs of a run.
+pub struct PreparedRun {
+    pub began: Instant,
+    pub recorder: Recorder,
+    /// Records events in the ledger until it is dropped.
+    _sink: Sink,
+    pub ledger: Ledger,
+    pub scene: Arc<Scene>,
+    pub intake: Intake,
+    /// The settings, with what the scene and the memory budget decide.
+    pub settings: Settings,
+    /// Whether the number of steps was left to the scene.
+    pub steps_open: bool,
+    pub providers: Providers,
+    pub engine: Arc<dyn Engine>,
+    pub end: End,
+    pub corrections: Corrections,
+    pub digests: Digests,
+}
+
+/// Opens the inputs of a run and writes down what it was given.
+///
+/// # Errors
+/// When an input cannot be used, the disk fails, another process uses the run, or the run is stopped.
+pub fn prepare(
+    scene: &Path,
+    folder: &RunFolder,
+    settings: &Settings,
+    options: &RunOptions,
+) -> Result<PreparedRun, RunError> {
+    let settings = &settings.anchored();
+    let (began, events) = (Instant::now(), &options.events);
+    let lost = lost_ledger(folder);
+    let ledger = Ledger::open(folder.ledger())?;
+    let record = ledger.clone();
+    let sink = events
+        .sink("ledger", move |event| {
+            if let Err(error) = record.record_event(event) {
+                tracing::warn!("an event could not be recorded: {error}");
+            }
+        })
+        .map_err(|e| files::FileError::new("start the event recorder of", folder.path(), e))?;
+    if let Some(words) = lost {
+        events.warn(None, words);
+    }
+    folder.remove_litter();
+    let recorder = Recorder::start(&ledger, events)
+        .map_err(|e| files::FileError::new("start the live view of", folder.path(), e))?;
+    let path = std::path::absolute(scene).unwrap_or_else(|_| scene.to_owned());
+    let scene = Arc::new(Scene::open(&path, &settings.scene)?);
+    ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()))
+        .fit(&folder.path().join(authorship::FOLDER))?;
+    folder.belongs_to(&path, &scene)?;
+    // Written only now: a setting that the scene refuses must not come back with the next run.
+    folder.write("segwild.toml", settings.to_toml().as_bytes())?;
+    record_settings(&ledger, settings, options.until)?;
+    for words in Skipped::in_words(&scene.skipped).into_iter().chain(scene.notes.iter().cloned()) {
+        events.warn(Some("ingest"), words);
+    }
+    let mut intake = intake_of(&path, &scene);
+    folder.write_json("scene.json", &intake)?;
+    events.info(
+        Some("ingest"),
+        format!(
+            "{} photos ({} held out), {} points",
+            intake.photos.len(),
+            intake.held_out.len(),
+            intake.points
+        ),
+    );
+
+    let steps_open = settings.train.steps == 0;
+    let settings = memory::within_budget(&settings.decided(&scene), &scene)?;
+    let providers = providers_of(folder, &settings, options)?;
+    intake.provider.clone_from(&providers.name);
+    for note in &providers.notes {
+        events.info(None, note.clone());
+    }
+    let engine = engine_of(&settings, &scene, options)?;
+    let corrections = Corrections::find(&scene, folder, &settings.scene.transient_masks)?;
+    for words in corrections.put_damaged_aside()? {
+        events.warn(Some("ingest"), words);
+    }
+    if let Some(words) = corrections.in_words(&scene) {
+        events.info(Some("ingest"), words);
+    }
+    let digests = examine(&path, &scene, &settings, &corrections, options)?;
+    let end = End::of(options.until);
+    Ok(PreparedRun {
+        began,
+        recorder,
+        _sink: sink,
+        ledger,
+        scene,
+        intake,
+        settings,
+        steps_open,
+        providers,
+        engine,
+        end,
+        corrections,
+        digests,
+    })
+}
+
+/// Records the settings in the ledger, for `--explain`.
+fn record_settings(ledger: &Ledger, settings: &Settings, until: Option<Until>) -> Result<(), RunError> {
+    let mut named: Vec<(&str, String)> = Settings::catalogue()
+        .iter()
+        .flat_map(|(_, _, fields)| fields.iter())
+        .map(|f| (f.name, settings.get(f.name).unwrap_or_default()))
+        .collect();
+    // Kept beside the settings, since keys depend on it.
+    if let Some(Until::Step(step)) = until {
+        named.push((UNTIL_STEP, step.to_string()));
+    }
+    Ok(ledger.set_settings(named.iter().map(|(n, v)| (*n, v.as_str())))?)
+}
+
+fn intake_of(path: &Path, scene: &Scene) -> Intake {
+    let names =
+        |test: bool| scene.views.iter().filter(move |v| !test || v.test).map(|v| v.name.clone()).collect();
+    Intake {
+        scene: path.to_owned(),
+        photos: names(false),
+        held_out: names(true),
+        skipped: scene.skipped.clone(),
+        points: scene.points.len(),
+        frame: scene.frame,
+        provider: String::new(),
+    }
+}
+
+/// Opens the 2D models, and records the files of those that are networks.
+fn providers_of(
+    folder: &RunFolder,
+    settings: &Settings,
+    options: &RunOptions,
+) -> Result<Providers, RunError> {
+    let providers = match &options.providers {
+        Some(providers) => providers.clone(),
+        None => Providers::keeping(&settings.vision, Some(Arc::new(InCache(folder.cache()?))))?,
+    };
+    let providers = leased(&providers);
+    for changed in code::record(folder, &providers.networks)? {
+        options.events.warn(None, format!("{changed}; what depends on it is made again"));
+    }
+    Ok(providers)
+}
+
+fn engine_of(settings: &Settings, scene: &Scene, options: &RunOptions) -> Result<Arc<dyn Engine>, RunError> {
+    let events = options.events.clone();
+    let ChosenEngine { engine, why } = choose_engine(&settings.run, move |lost| events.warn(None, lost))?;
+    if engine.name() == "gpu" {
+        memory::fits_accelerator(settings, scene)?;
+    }
+    options.events.info(None, format!("splats are computed by {why}"));
+    Ok(engine)
+}
+
+/// Reads every photo once, and warns of what is odd.
+fn examine(
+    path: &Path,
+    scene: &Scene,
+    settings: &Settings,
+    corrections: &Corrections,
+    options: &RunOptions,
+) -> Result<Digests, RunError> {
+    let stopping = || options.stopper.phase() != Phase::Running;
+    let digests = Digests::read(scene, settings, &stopping)?.without(corrections);
+    if let Some(first) = digests.nothing_left(scene) {
+        let reason = format!("no photo can be trained on; of the first: {first}");
+        return Err(SceneError::NothingUsable { path: path.to_owned(), reason }.into());
+    }
+    for odd in &digests.odd {
+        options.events.warn(Some("ingest"), odd.clone());
+    }
+    for warning in diagnostics::diagnose(scene).into_iter().chain(diagnostics::copies(scene, &digests.all()))
+    {
+        options.events.warn(Some("ingest"), warning);
+    }
+    Ok(digests)
+}
+
+/// The warning about a run whose ledger is empty or has gone, if the run has made something before.
+fn lost_ledger(folder: &RunFolder) -> Option<String> {
+    let ledger = folder.ledger();
+    let found = match std::fs::metadata(&ledger) {
+        Ok(data) if data.len() > 0 => return None,
+        Ok(_) => "is empty",
+        Err(_) => "has gone",
+    };
+    let holds = |path: &Path| std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some());
+    let made = holds(&folder.path().join("cache")) || holds(&folder.checkpoints());
+    made.then(|| {
+        format!(
+            "{} {found}: its record of earlier runs (stages, times, events) is lost; the cache and the checkpoints are \
+             kept and used",
+            ledger.display()
+        )
+    })
+}

@@ -1,0 +1,66 @@
+//! The stage `evaluate`: scores of the held-out photos.
+
+use crate::RunError;
+use crate::output::evaluate::{HeldOut, held_out};
+use crate::run::after::AfterActors;
+use crate::run::need::{Extent, Need};
+use crate::run::node::{Performer, StageNode, StageWork};
+use crate::run::stage::Stage;
+use segwild_flow::Event;
+use segwild_flow::ledger::ViewOutcome;
+use std::collections::BTreeSet;
+
+/// The stage in the graph.
+pub const NODE: StageNode = StageNode {
+    stage: Stage::Evaluate,
+    by: Performer::Run,
+    feed: None,
+    needs: &[
+        Need { stage: Stage::Sky, extent: Extent::Whole, what: "sky*" },
+        Need { stage: Stage::Geometry, extent: Extent::Whole, what: "trained scene" },
+        Need { stage: Stage::Features, extent: Extent::Whole, what: "" },
+    ],
+    work: StageWork::Run(evaluate),
+};
+
+fn evaluate(after: &mut AfterActors<'_, '_>) -> Result<(), RunError> {
+    let AfterActors { run, report, traces, holds_out, scores } = after;
+    let Some(model) = run.made.model.clone() else { return Ok(()) };
+    let name = Stage::Evaluate.name();
+    let events = &run.options.events;
+    let key = run.keys.stage(Stage::Evaluate);
+    let known = run.folder.read_json::<HeldOut>("evaluation.json").ok();
+    if run.ledger.stage_is_done(name, &key)? && (known.is_some() || !*holds_out) {
+        events.tell(Event::StageSkipped { stage: name.into(), key: key.to_string() });
+        *scores = known.filter(|_| *holds_out);
+        return Ok(());
+    }
+    run.ledger.start_stage(name, &key)?;
+    let progress = events.stage(name, None);
+    let skies = run.skies.clone();
+    let sky = move |view: usize| skies.read(view).map_err(|lost| lost.to_string());
+    let mut unscored = BTreeSet::new();
+    let scored = traces.step(report, name, || {
+        let usable = |view: usize| run.keys.unreadable(view).is_none();
+        held_out(run.folder, &run.scene, &model, &*run.engine, run.settings, usable, sky, |view, scored| {
+            let photo = &run.scene.views[view].name;
+            let outcome = match scored {
+                Ok(seconds) => ViewOutcome::done(seconds),
+                Err(reason) => {
+                    unscored.insert(view);
+                    let message = format!("photo {photo} is not scored: {reason}");
+                    events.warn(Some(name), message);
+                    ViewOutcome::failed(1, reason)
+                }
+            };
+            Ok(run.ledger.record_view(name, photo, &key, &outcome)?)
+        })
+    });
+    if let Some(lost) = run.skies.lost() {
+        return Err(RunError::of_stage(Stage::Sky.name(), &lost));
+    }
+    *scores = scored?;
+    run.intact()?;
+    progress.finish();
+    Ok(run.ledger.finish_stage(name, &run.keys.evaluation_without(&unscored), None)?)
+}

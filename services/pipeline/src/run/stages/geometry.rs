@@ -1,0 +1,292 @@
+//! The stage `geometry`: the trainer. It sends a snapshot at a fixed step, checkpoints, and the trained scene.
+
+use crate::RunError;
+use crate::artifacts::cache::TRANSIENTS;
+use crate::artifacts::checkpoints::Keeper;
+use crate::artifacts::folder::MODEL;
+use crate::artifacts::history::{self, HISTORY, Moment};
+use crate::run::context::RunContext;
+use crate::run::need::{Extent, Need};
+use crate::run::node::{Performer, StageNode, StageWork};
+use crate::run::outcome::ActorOutcome;
+use crate::run::products::{Products, SnapshotSlot};
+use crate::run::stage::Stage;
+use crate::run::work::{ActorStage, Actors, StageState};
+use segwild_flow::ledger::ViewOutcome;
+use segwild_flow::{ActorFailure, Phase};
+use segwild_trainer::{FindCheckpoint, Model, Photos, Sifted, TrainOrder, TrainOutcome, TrainPhoto};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+/// The stage in the graph.
+pub const NODE: StageNode = StageNode {
+    stage: Stage::Geometry,
+    by: Performer::Actor("trainer"),
+    feed: None,
+    needs: &[Need { stage: Stage::Sky, extent: Extent::PerPhoto, what: "sky*" }],
+    work: StageWork::Actors(|| Box::new(GeometryStage::Waiting)),
+};
+
+enum GeometryStage {
+    Waiting,
+    Training,
+    /// The trained scene is there, and its snapshot has gone: the training is done again up to it.
+    AgainToSnapshot,
+    /// The training stands at the requested step, and is not over.
+    Paused,
+    Trained,
+}
+
+impl ActorStage for GeometryStage {
+    fn state(&self) -> StageState {
+        match self {
+            GeometryStage::Waiting => StageState::Waiting,
+            GeometryStage::Training | GeometryStage::AgainToSnapshot => StageState::Running,
+            GeometryStage::Paused | GeometryStage::Trained => StageState::Over,
+        }
+    }
+
+    /// A part: the snapshot. The trained scene may be there without it.
+    fn gives(&self, extent: Extent, made: &Products) -> bool {
+        match extent {
+            Extent::PerPhoto => self.state() != StageState::Waiting,
+            Extent::Part => !matches!(made.snapshot, SnapshotSlot::Missing),
+            Extent::Whole => made.model.is_some(),
+        }
+    }
+
+    /// Takes the trained scene and its snapshot from the cache, or orders the training.
+    fn start(&mut self, run: &mut RunContext<'_>, actors: &Actors<'_>) -> Result<(), RunError> {
+        *self = GeometryStage::Training;
+        run.name_training()?;
+        // A whole record may still be another program's: one whose parts do not fit together counts as missing.
+        let sound = |model: &Model| model.check().is_ok();
+        let done = run.cache.get_typed::<Model>(&run.keys.geometry, MODEL)?.filter(sound);
+        let snapshot = run.cache.get_typed::<Model>(&run.keys.snapshot, MODEL)?.filter(sound);
+        let snapshot_kept = snapshot.is_some();
+        if let Some(snapshot) = snapshot {
+            run.made.snapshot.put(Arc::new(snapshot));
+        }
+        let snapshot_step = run.settings.train.snapshot_step();
+        if let Some(model) = done {
+            match run.cache.get_typed::<Vec<Moment>>(&run.keys.history, HISTORY)? {
+                Some(moments) => history::replace(run.folder, &moments)?,
+                // The history in the folder is of this training.
+                None if run.ledger.stage_is_done(Stage::Geometry.name(), &run.keys.geometry)? => {
+                    run.cache.put_typed(&run.keys.history, HISTORY, &history::read(run.folder))?;
+                }
+                None => {}
+            }
+            run.take_model(Arc::new(model))?;
+            if snapshot_kept {
+                *self = GeometryStage::Trained;
+                return run.skip_stage(Stage::Geometry, &run.keys.geometry);
+            }
+            *self = GeometryStage::AgainToSnapshot;
+        }
+        run.ledger.start_stage(Stage::Geometry.name(), &run.keys.geometry)?;
+        // Without the snapshot the training is done again from a checkpoint before it, or from the start.
+        let before = if snapshot_kept { u32::MAX } else { snapshot_step };
+        let again = matches!(self, GeometryStage::AgainToSnapshot);
+        let until = if again { snapshot_step } else { run.steps };
+        let checkpoint = match stands_at(run, before)? {
+            Some(step) if !again => {
+                *self = GeometryStage::Paused;
+                run.made.paused = Some(step);
+                return Ok(());
+            }
+            _ => find_checkpoint(run, before.min(run.steps.saturating_add(1))),
+        };
+        let bar = run.options.events.stage(Stage::Geometry.name(), Some(until.into()));
+        run.bars.insert(Stage::Geometry, bar);
+        for view in run.views(false).into_iter().filter(|_| run.known.network.is_some()) {
+            let (name, key) = (&run.scene.views[view].name, &run.keys.known_transients[view]);
+            run.ledger.record_view(TRANSIENTS, name, key, &ViewOutcome::cached())?;
+        }
+        let order = TrainOrder {
+            scene: run.scene.clone(),
+            photos: photos(run),
+            settings: run.settings.train.clone(),
+            until,
+            checkpoint,
+            checkpoint_every: Duration::from_secs(run.settings.run.checkpoint_every.max(1).into()),
+        };
+        actors.training.blocking_send(order).map_err(|_| RunError::Interrupted) // closed: everything stops
+    }
+
+    fn handle(
+        &mut self,
+        outcome: ActorOutcome,
+        run: &mut RunContext<'_>,
+    ) -> Result<Option<ActorOutcome>, RunError> {
+        match outcome {
+            ActorOutcome::Train(outcome) => self.handle_trainer(outcome, run).map(|()| None),
+            other => Ok(Some(other)),
+        }
+    }
+
+    fn must_end(&self) -> bool {
+        matches!(self, GeometryStage::AgainToSnapshot)
+    }
+}
+
+impl GeometryStage {
+    fn handle_trainer(&mut self, outcome: TrainOutcome, run: &mut RunContext<'_>) -> Result<(), RunError> {
+        let name = Stage::Geometry.name();
+        let again = matches!(self, GeometryStage::AgainToSnapshot);
+        match outcome {
+            TrainOutcome::Began { step, upcoming } => {
+                run.skies.prefer(&upcoming);
+                if step > 0 {
+                    run.options.events.info(Some(name), format!("goes on from step {step}"));
+                }
+                if let Some(bar) = run.bars.get_mut(&Stage::Geometry) {
+                    bar.cached(u64::from(step).saturating_sub(bar.done()));
+                }
+                if again { Ok(()) } else { history::trim(run.folder, step) }
+            }
+            TrainOutcome::Progress { step, loss, psnr, splats, left_out } => {
+                let moment = Moment { step, loss, psnr, splats, left_out };
+                if !again {
+                    history::append(run.folder, &moment)?;
+                }
+                if let Some(bar) = run.bars.get_mut(&Stage::Geometry) {
+                    bar.advance(u64::from(step).saturating_sub(bar.done()));
+                }
+                let (events, at) = (&run.options.events, Some(u64::from(step)));
+                for (metric, value) in [("loss", loss), ("psnr_db", psnr), ("left_out", left_out)] {
+                    events.metric(name, metric, f64::from(value), at);
+                }
+                events.metric(name, "splats", splats as f64, at);
+                events.metric(name, "stall_s", run.skies.waited_s(), None);
+                Ok(())
+            }
+            TrainOutcome::Snapshot(snapshot) => {
+                run.intact()?;
+                run.cache.put_typed(&run.keys.snapshot, MODEL, &*snapshot)?;
+                run.made.snapshot.put(snapshot);
+                Ok(())
+            }
+            TrainOutcome::Checkpoint(checkpoint) => {
+                run.intact()?;
+                let began = Instant::now();
+                run.keeper().save(&checkpoint)?;
+                let seconds = began.elapsed().as_secs_f64();
+                run.options.events.metric(name, "checkpoint_s", seconds, None);
+                Ok(())
+            }
+            TrainOutcome::Paused(_) | TrainOutcome::Done(..) if again => {
+                *self = GeometryStage::Trained;
+                finish(run)
+            }
+            TrainOutcome::Paused(step) => {
+                *self = GeometryStage::Paused;
+                run.made.paused = Some(step);
+                Ok(())
+            }
+            TrainOutcome::Done(model, skipped) => {
+                run.intact()?;
+                run.cache.put_typed(&run.keys.history, HISTORY, &history::read(run.folder))?;
+                run.cache.put_typed(&run.keys.geometry, MODEL, &*model)?;
+                finish(run)?;
+                run.mask_speed.training_ended();
+                for s in skipped {
+                    let words = format!("photo {} is left out: {}", s.name, s.reason);
+                    if run.tally.skip(s) {
+                        run.options.events.warn(Some(name), words);
+                    }
+                }
+                *self = GeometryStage::Trained;
+                run.take_model(model)
+            }
+            TrainOutcome::Failed(reason) => {
+                run.tally.failed = Some((Stage::Geometry, ActorFailure::fatal(reason)));
+                Ok(())
+            }
+        }
+    }
+}
+
+/// Ends the stage in the ledger.
+fn finish(run: &mut RunContext<'_>) -> Result<(), RunError> {
+    run.ledger.finish_stage(Stage::Geometry.name(), &run.keys.geometry, None)?;
+    if let Some(bar) = run.bars.remove(&Stage::Geometry) {
+        bar.finish();
+    }
+    Ok(())
+}
+
+/// The photos as the trainer reads them: each waits for its sky.
+fn photos(run: &RunContext<'_>) -> Arc<dyn Photos> {
+    let (scene, size, skies) = (run.scene.clone(), run.settings.scene.size, run.skies.clone());
+    let (stopper, tainted) = (run.options.stopper.clone(), run.tainted.clone());
+    let transients = run.known.clone();
+    let photos = move |view: usize| -> Result<TrainPhoto, String> {
+        let posed = &scene.views[view];
+        let loaded = posed.load(size).map_err(|e| {
+            tainted.fetch_or(posed.intact().is_err(), Ordering::AcqRel);
+            e.to_string()
+        })?;
+        let known = skies.wait(view, || stopper.phase() == Phase::Stopping);
+        let sky = skies.read(view);
+        if known.is_none() || sky.is_err() {
+            tainted.store(true, Ordering::Release);
+        }
+        let mut photo = TrainPhoto::new(loaded, sky.map_err(|e| e.to_string())?);
+        transients.apply(view, &mut photo)?;
+        Ok(photo)
+    };
+    Arc::new(Sifted { photos, refused: run.keys.refused() })
+}
+
+/// The step of the newest checkpoint, if the training is to stop before its end and has come that far.
+fn stands_at(run: &RunContext<'_>, before: u32) -> Result<Option<u32>, RunError> {
+    if run.steps >= run.settings.train.steps {
+        return Ok(None);
+    }
+    let newest = run.keeper().last_before(before)?.map(|c| c.step());
+    Ok(newest.filter(|&step| step >= run.steps))
+}
+
+/// Returns a function that finds the last checkpoint before a step. The trainer calls it at its start and after a
+/// panic.
+fn find_checkpoint(run: &RunContext<'_>, before: u32) -> Arc<FindCheckpoint> {
+    let (folder, ledger, events) = (run.folder.clone(), run.ledger.clone(), run.options.events.clone());
+    let (key, kept) = (run.keys.training, run.settings.run.keep_checkpoints as usize);
+    let (elsewhere, origin) = (run.elsewhere.clone(), run.origin.clone());
+    let stage = Some(Stage::Geometry.name());
+    Arc::new(move || {
+        let last = |key| {
+            let keeper = Keeper { folder: &folder, ledger: &ledger, events: &events, key, kept };
+            // A damaged checkpoint is passed over; only the ledger can fail.
+            keeper.last_before(before).map_err(ActorFailure::storage)
+        };
+        if let Some(own) = last(&key)? {
+            return Ok(Some(own));
+        }
+        if let Some(origin) = &origin {
+            let (step, steps) = (origin.step, origin.end - origin.step);
+            let Some(checkpoint) = last(&origin.training)?.filter(|c| c.step() == step) else {
+                let lost = format!(
+                    "the training to go on from has lost its checkpoint of step {step}: --continue-share 0 trains from the start"
+                );
+                return Err(ActorFailure::fatal(lost));
+            };
+            let message = format!(
+                "transient masks were corrected: the training goes on from step {step} for {steps} more (--continue-share)"
+            );
+            events.info(stage, message);
+            return Ok(Some(checkpoint));
+        }
+        for (engine, key) in &elsewhere {
+            if let Some(checkpoint) = last(key)? {
+                let step = checkpoint.step();
+                let message = format!("the {engine} engine trained up to step {step}: this one takes over");
+                events.info(stage, message);
+                return Ok(Some(checkpoint));
+            }
+        }
+        Ok(None)
+    })
+}

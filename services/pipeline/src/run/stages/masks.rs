@@ -1,0 +1,92 @@
+//! The stage `masks`: the source `intrinsic renders` renders the snapshot from every camera, in order, into the masks
+//! actor's mailbox, while the training goes on.
+
+use crate::RunError;
+use crate::run::context::RunContext;
+use crate::run::inputs::SnapshotRenders;
+use crate::run::need::{Extent, Need};
+use crate::run::node::{Feed, Performer, StageNode, StageWork};
+use crate::run::outcome::ActorOutcome;
+use crate::run::stage::Stage;
+use crate::run::work::{ActorStage, Actors, StageState};
+use segwild_flow::{ActorFailure, ActorOptions};
+use segwild_masks::{MaskOutcome, MaskSource, MaskTask, Snapshot};
+use std::sync::Arc;
+
+/// The stage in the graph.
+pub const NODE: StageNode = StageNode {
+    stage: Stage::Masks,
+    by: Performer::Actor("masks"),
+    feed: Some(Feed { source: "intrinsic renders", sends: "render*" }),
+    needs: &[
+        // The key of each photo's masks depends on every sky that is trained on.
+        Need { stage: Stage::Sky, extent: Extent::Part, what: "skies" },
+        Need { stage: Stage::Geometry, extent: Extent::Part, what: "snapshot at a fixed step" },
+    ],
+    work: StageWork::Actors(|| Box::new(MasksStage::Waiting)),
+};
+
+enum MasksStage {
+    Waiting,
+    /// Photos of which it is not known yet if they have masks.
+    Open(usize),
+}
+
+impl ActorStage for MasksStage {
+    fn state(&self) -> StageState {
+        match self {
+            MasksStage::Waiting => StageState::Waiting,
+            MasksStage::Open(0) => StageState::Over,
+            MasksStage::Open(_) => StageState::Running,
+        }
+    }
+
+    fn start(&mut self, run: &mut RunContext<'_>, actors: &Actors<'_>) -> Result<(), RunError> {
+        let Some(snapshot) = run.made.snapshot.take() else { return Ok(()) };
+        let views = run.views(false);
+        *self = MasksStage::Open(views.len());
+        run.open(Stage::Masks, views.len())?;
+        let (size, keys, skies) = (run.settings.scene.size, run.keys.masks.clone(), run.skies.clone());
+        let (cache, mask_source, out) =
+            (run.cache.clone(), run.settings.masks.mask_source, actors.masks.clone());
+        let (engine, scene) = (run.engine.clone(), run.scene.clone());
+        let renders = Arc::new(SnapshotRenders { model: snapshot, engine, scene, size });
+        actors.system.source("intrinsic renders", ActorOptions::default(), move |context| {
+            for &view in &views {
+                context.check()?;
+                // Rendered ahead of the actor. Where masks in the cache are damaged, the actor renders for itself.
+                let render = if mask_source == MaskSource::Photo || cache.contains(&keys[view]) {
+                    None
+                } else {
+                    Some(Arc::new(renders.render(view).map_err(ActorFailure::retry)?))
+                };
+                let (key, sky) = (keys[view], skies.read(view)?.map(Arc::new));
+                out.blocking_send(MaskTask::Masks { view, key, render, snapshot: renders.clone(), sky })?;
+            }
+            Ok(())
+        })?;
+        Ok(())
+    }
+
+    fn handle(
+        &mut self,
+        outcome: ActorOutcome,
+        run: &mut RunContext<'_>,
+    ) -> Result<Option<ActorOutcome>, RunError> {
+        let ActorOutcome::Mask(MaskOutcome::Masks { view, masks, seconds }) = outcome else {
+            return Ok(Some(outcome));
+        };
+        let key = run.keys.masks[view];
+        run.view_done(Stage::Masks, view, &key, masks.as_ref().err(), seconds)?;
+        run.masks_known.set(view, masks.is_ok());
+        if let MasksStage::Open(open) = self {
+            *open -= 1;
+        }
+        run.mask_speed.add(seconds, run.bars.contains_key(&Stage::Geometry));
+        if self.state() == StageState::Over {
+            run.mask_speed.report(&run.options.events);
+            run.close(Stage::Masks)?;
+        }
+        Ok(None)
+    }
+}

@@ -1,0 +1,27 @@
+//! The stages of a run, a file each: what the stage needs, how it starts, and what follows from the outcomes of its
+//! actor. A new stage is a file here, its name in [`Stage`](super::stage::Stage), and a line in [`NODES`].
+
+mod embed;
+mod evaluate;
+mod features;
+mod geometry;
+mod masks;
+mod objects;
+mod report;
+mod sky;
+mod visibility;
+
+use super::node::StageNode;
+
+/// Every stage, in the order in which they end.
+pub const NODES: [StageNode; 9] = [
+    sky::NODE,
+    embed::NODE,
+    masks::NODE,
+    geometry::NODE,
+    visibility::NODE,
+    features::NODE,
+    evaluate::NODE,
+    objects::NODE,
+    report::NODE,
+];

@@ -1,0 +1,60 @@
+//! The stage `objects`: the list of the trained scene's objects, from its tree.
+
+use crate::RunError;
+use crate::artifacts::scene_tree::TreeSource;
+use crate::output::objects::{ListRequest, ObjectList};
+use crate::run::after::AfterActors;
+use crate::run::context::RunContext;
+use crate::run::need::{Extent, Need};
+use crate::run::node::{Performer, StageNode, StageWork};
+use crate::run::stage::Stage;
+use segwild_flow::Event;
+use segwild_trainer::Model;
+
+/// The stage in the graph.
+pub const NODE: StageNode = StageNode {
+    stage: Stage::Objects,
+    by: Performer::Run,
+    feed: None,
+    needs: &[
+        Need { stage: Stage::Geometry, extent: Extent::Whole, what: "trained scene" },
+        Need { stage: Stage::Visibility, extent: Extent::Whole, what: "scene tree" },
+    ],
+    work: StageWork::Run(objects),
+};
+
+fn objects(after: &mut AfterActors<'_, '_>) -> Result<(), RunError> {
+    let AfterActors { run, report, traces, .. } = after;
+    match run.made.model.clone() {
+        Some(model) => traces.step(report, Stage::Objects.name(), || list(run, &model)),
+        None => Ok(()),
+    }
+}
+
+fn list(run: &RunContext<'_>, model: &Model) -> Result<(), RunError> {
+    let (folder, name, key) = (run.folder, Stage::Objects.name(), run.keys.stage(Stage::Objects));
+    let events = &run.options.events;
+    let before = ObjectList::read(folder);
+    if run.ledger.stage_is_done(name, &key)? && before.is_some() {
+        events.tell(Event::StageSkipped { stage: name.into(), key: key.to_string() });
+        return Ok(());
+    }
+    run.ledger.start_stage(name, &key)?;
+    let progress = events.stage(name, None);
+    let (size, geometry) = (run.settings.scene.size, run.keys.geometry.to_string());
+    let source =
+        TreeSource { scene: &run.scene, model, geometry: &geometry, size, segmenter: &*run.segmenter };
+    let stopping = || run.is_stopping();
+    match source.tree(&run.cache, &stopping)? {
+        Some(tree) => {
+            let (scene, key) = (&*run.scene, source.key().to_string());
+            let request = ListRequest { scene, model, size, tree: &tree, key };
+            request.list(before.as_ref(), &run.options.stopper)?.write(folder)?;
+        }
+        None if stopping() => return Err(RunError::Interrupted),
+        // The provider finds objects by itself: a list of another provider's tree is of no use.
+        None => ObjectList::remove(folder)?,
+    }
+    progress.finish();
+    Ok(run.ledger.finish_stage(name, &key, None)?)
+}

@@ -1,0 +1,4 @@
+//! Every integration test of the crate in one program: it links once.
+
+mod coordinator;
+mod simulated;
