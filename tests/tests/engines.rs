@@ -4,7 +4,7 @@ use segwild_bench::harm::Harm;
 use segwild_bench::point::{PhotoSource, PointJob, Prompting, measure};
 use segwild_eval::oracle::OracleOptions;
 use segwild_eval::trial::ProviderKind;
-use segwild_pipeline::{RunFolder, RunOptions, Settings, Until, run};
+use segwild_pipeline::{RunFolder, RunOptions, Settings, Stage, Until, run};
 use segwild_synthetic::{LightVariation, SyntheticOptions, generate};
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -138,7 +138,7 @@ fn splats_downloaded_in_the_middle_end_in_the_same_bytes() {
     let small =
         [("size", "64"), ("steps", "40"), ("splats", "700"), ("sh_degree", "3"), ("prompt_budget", "8")];
     // Masks and features have no part in it, and take most of the time on an adapter that is software.
-    let trained = Until::Stage("geometry");
+    let trained = Until::Stage(Stage::Geometry);
     let train = |appearance: &str, name: &str, stops: &[u32]| {
         let name = format!("{appearance}-{name}");
         let folder = RunFolder::create(&dir.path().join(&name)).expect("a folder");
