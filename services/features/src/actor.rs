@@ -7,7 +7,7 @@ use crate::{
 use segwild_flow::{Actor, ActorFailure, Cache, Context, Key, Message, Origin, Quarantined, Sender, fault};
 use segwild_objective::Engine;
 use segwild_raster::ProjectOptions;
-use segwild_scene::{Embedding, Image, Mask, MaskSet, Scene, Splats, View};
+use segwild_scene::{Embedding, Image, Mask, MaskSet, PhotoStore, Scene, Splats};
 use segwild_vision::Embedder;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -95,10 +95,8 @@ pub enum FeatureOutcome {
 
 /// The actor. `O` is what its consumer calls its outcomes.
 pub struct FeatureActor<O: Message> {
-    /// The scene.
-    pub scene: Arc<Scene>,
-    /// Long side in pixels at which photos are read.
-    pub size: u32,
+    /// The photos.
+    pub photos: Arc<PhotoStore>,
     /// Embeds photos.
     pub embedder: Arc<dyn Embedder>,
     /// Renders features.
@@ -111,13 +109,13 @@ pub struct FeatureActor<O: Message> {
     pub out: Sender<O>,
 }
 
-/// Embeds a photo of at most `size` pixels on its long side.
+/// Embeds a photo.
 ///
 /// # Errors
 /// A sentence, when the photo cannot be read or the model refuses.
-pub fn describe(embedder: &dyn Embedder, view: &View, size: u32) -> Result<Embedding, String> {
-    let photo = view.load(size).map_err(|e| e.to_string())?;
-    embedder.embed(&photo.image).map_err(|e| format!("photo {}: {e}", view.name))
+pub fn describe(embedder: &dyn Embedder, photos: &PhotoStore, view: usize) -> Result<Embedding, String> {
+    let photo = photos.read(view).map_err(|e| e.to_string())?;
+    embedder.embed(&photo.image).map_err(|e| format!("photo {}: {e}", photos.scene().views[view].name))
 }
 
 /// Targets, made from the field's inputs when they are needed.
@@ -169,10 +167,9 @@ impl TargetSource for InputTargets<'_> {
 
 impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
     fn embed(&self, view: usize, key: &Key) -> Result<Option<f64>, ActorFailure> {
-        let posed = &self.scene.views[view];
         let began = Instant::now();
         let (_, origin) = self.cache.get_or_make(key, EMBEDDING, || -> Result<Embedding, EmbedFailure> {
-            describe(&*self.embedder, posed, self.size).map_err(EmbedFailure)
+            describe(&*self.embedder, &self.photos, view).map_err(EmbedFailure)
         })?;
         Ok((origin == Origin::Made).then(|| began.elapsed().as_secs_f64()))
     }
@@ -191,7 +188,7 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
             self.settings.feature_seed,
         );
         for &view in views {
-            let name = &self.scene.views[view].name;
+            let name = &self.photos.scene().views[view].name;
             let (embedding, validity) = (inputs.embedding(view)?, plane(&inputs.visibility(view)?));
             samples.add(view, name, &embedding, Some(&validity), inputs.sky(view)?.as_ref())?;
             context.progress();
@@ -207,7 +204,7 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
         let fewer = if pca.channels < requested && self.settings.keep_variance >= 1.0 { &*fewer } else { "" };
         context.events().info(Some("features"), kept + fewer);
         let targets = InputTargets {
-            scene: &self.scene,
+            scene: self.photos.scene(),
             inputs,
             views,
             pca: &pca,
@@ -251,7 +248,7 @@ impl<O: Message + From<FeatureOutcome>> Actor for FeatureActor<O> {
 
     fn label(&self, task: &FeatureTask) -> String {
         let view = match task {
-            FeatureTask::Embed { view, .. } => self.scene.views.get(*view),
+            FeatureTask::Embed { view, .. } => self.photos.scene().views.get(*view),
             FeatureTask::Field { .. } => None,
         };
         view.map_or_else(|| task.label(), |view| format!("embed {}", view.name))

@@ -2,7 +2,7 @@
 
 use crate::{MaskSettings, MaskSource, generate, sasm};
 use segwild_flow::{Actor, ActorFailure, Cache, Context, Key, Message, Origin, Quarantined, Sender, fault};
-use segwild_scene::{Image, Mask, MaskSet, Scene};
+use segwild_scene::{Image, LoadedPhoto, Mask, MaskSet, PhotoStore};
 use segwild_vision::{MaskProposer, SkyDetector};
 use std::sync::Arc;
 use std::time::Instant;
@@ -94,10 +94,8 @@ pub enum MaskOutcome {
 
 /// Makes the masks of a photo.
 pub struct MaskMaker {
-    /// The scene.
-    pub scene: Arc<Scene>,
-    /// Long side in pixels at which photos are read.
-    pub size: u32,
+    /// The photos.
+    pub photos: Arc<PhotoStore>,
     /// Proposes masks.
     pub proposer: Arc<dyn MaskProposer>,
     /// How masks are made.
@@ -124,8 +122,8 @@ pub struct MaskActor<O: Message> {
 pub struct MaskFailure(String);
 
 impl MaskMaker {
-    fn photo(&self, view: usize) -> Result<Image, MaskFailure> {
-        Ok(self.scene.views[view].load(self.size).map_err(|e| MaskFailure(e.to_string()))?.image)
+    fn photo(&self, view: usize) -> Result<Arc<LoadedPhoto>, MaskFailure> {
+        self.photos.read(view).map_err(|e| MaskFailure(e.to_string()))
     }
 
     /// Makes the masks of a view. Without a `render`, the snapshot is rendered here if [`MaskSource::Render`] is set.
@@ -140,8 +138,8 @@ impl MaskMaker {
         sky: Option<&Mask>,
     ) -> Result<MaskSet, MaskFailure> {
         fault::point("masks.make").map_err(|e| MaskFailure(e.to_string()))?;
-        let posed = &self.scene.views[view];
-        let rendered;
+        let posed = &self.photos.scene().views[view];
+        let (rendered, photo);
         let image = match (self.settings.mask_source, render) {
             (MaskSource::Render, Some(render)) => render,
             (MaskSource::Render, None) => {
@@ -151,12 +149,12 @@ impl MaskMaker {
                 &rendered
             }
             (MaskSource::Photo, _) => {
-                rendered = self.photo(view)?;
-                &rendered
+                photo = self.photo(view)?;
+                &photo.image
             }
         };
         let camera = posed.camera.resized(image.width as u32, image.height as u32);
-        let depth = self.depths.relative(sasm::scene_view_depth(&self.scene, posed));
+        let depth = self.depths.relative(sasm::scene_view_depth(self.photos.scene(), posed));
         let words = |e: crate::MaskError| MaskFailure(format!("photo {}: {e}", posed.name));
         let plan =
             sasm::plan(snapshot.means(), &camera, &posed.pose, depth, sky, &self.settings).map_err(words)?;
@@ -172,7 +170,12 @@ impl<O: Message + From<MaskOutcome>> Actor for MaskActor<O> {
             MaskTask::Sky { view, .. } => ("sky", *view),
             MaskTask::Masks { view, .. } => ("masks", *view),
         };
-        self.maker.scene.views.get(view).map_or_else(|| task.label(), |view| format!("{what} {}", view.name))
+        self.maker
+            .photos
+            .scene()
+            .views
+            .get(view)
+            .map_or_else(|| task.label(), |view| format!("{what} {}", view.name))
     }
 
     fn handle(&mut self, task: MaskTask, _: &Context) -> Result<(), ActorFailure> {
@@ -181,10 +184,11 @@ impl<O: Message + From<MaskOutcome>> Actor for MaskActor<O> {
         let outcome = match task {
             MaskTask::Sky { view, key } => {
                 let (sky, origin) = self.cache.get_or_make(&key, SKY, || {
-                    let image = self.maker.photo(view)?;
-                    let name = &self.maker.scene.views[view].name;
-                    let seen = self.maker.scene.points_in(view, image.width, image.height);
-                    self.sky.sky_above(&image, &seen).map_err(|e| MaskFailure(format!("photo {name}: {e}")))
+                    let photo = self.maker.photo(view)?;
+                    let image = &photo.image;
+                    let name = &self.maker.photos.scene().views[view].name;
+                    let seen = self.maker.photos.scene().points_in(view, image.width, image.height);
+                    self.sky.sky_above(image, &seen).map_err(|e| MaskFailure(format!("photo {name}: {e}")))
                 })?;
                 MaskOutcome::Sky { view, sky: Ok(Arc::new(sky)), seconds: took(origin) }
             }

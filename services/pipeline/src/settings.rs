@@ -85,6 +85,8 @@ settings! {
         /// Most MiB of memory that the run may take; 0 sets no limit. The same holds for an accelerator's own memory.
         /// Caches shrink to fit; what cannot fit is refused before the start.
         memory_budget: u32 = 0,
+        /// Memory in MiB for photos that were decoded, until the next stage reads them.
+        photo_memory: u32 = 64,
         /// Checkpoints of the training that are kept; with 2, a damaged one has another to fall back on.
         keep_checkpoints: u32 = 2 => 1..,
         /// Most MiB that the cache keeps when a run ends, oldest first out; 0 keeps all. What this run uses always stays.

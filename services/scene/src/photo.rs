@@ -23,6 +23,15 @@ pub struct LoadedPhoto {
     pub empty: Option<Mask>,
 }
 
+impl LoadedPhoto {
+    /// Bytes of its pixels and masks.
+    pub fn bytes(&self) -> usize {
+        let masks = [&self.valid, &self.empty].into_iter().flatten();
+        4 * self.image.data.len()
+            + masks.map(|mask| mask.width() as usize * mask.height() as usize / 8).sum::<usize>()
+    }
+}
+
 impl View {
     /// Decodes the photo, undistorted and scaled down so that its long side is at most `long_side` (never
     /// enlarged).

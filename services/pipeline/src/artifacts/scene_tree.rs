@@ -2,7 +2,7 @@
 
 use crate::RunError;
 use segwild_flow::{Cache, Key};
-use segwild_scene::Scene;
+use segwild_scene::PhotoStore;
 use segwild_segmenter::PosedView;
 use segwild_segmenter::scene_tree::{SceneTree, TreeBuilder};
 use segwild_trainer::Model;
@@ -22,13 +22,11 @@ pub(crate) fn tree_key(geometry: &str, segmenter: &str) -> Key {
 /// Where trees come from.
 pub(crate) struct TreeSource<'a> {
     /// The photos.
-    pub scene: &'a Scene,
+    pub photos: &'a PhotoStore,
     /// The trained scene.
     pub model: &'a Model,
     /// Key of the trained scene.
     pub geometry: &'a str,
-    /// Long side in pixels at which photos are read.
-    pub size: u32,
     /// Finds boundaries in photos.
     pub segmenter: &'a dyn PromptSegmenter,
 }
@@ -54,11 +52,12 @@ impl TreeSource<'_> {
         }
         let mut builder = TreeBuilder::new(splats, self.model.options());
         let mut seen = false;
-        for view in self.scene.views.iter().filter(|view| !view.test) {
+        let views = self.photos.scene().views.iter().enumerate();
+        for (index, view) in views.filter(|(_, view)| !view.test) {
             if stopping() {
                 return Err(RunError::Interrupted);
             }
-            let Ok(photo) = view.load(self.size) else { continue };
+            let Ok(photo) = self.photos.read(index) else { continue };
             let Some(boundaries) = self.segmenter.boundary_strengths(&photo.image)? else { return Ok(None) };
             builder.add(&PosedView::from(view), &boundaries)?;
             seen = true;

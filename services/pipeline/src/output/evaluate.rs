@@ -6,7 +6,7 @@ use crate::session::prompts::Replay;
 use crate::{RunError, RunFolder, Scoring, Selected, Settings};
 use segwild_flow::fault;
 use segwild_raster::Rasterizer;
-use segwild_scene::{Mask, MaskFiles, Scene};
+use segwild_scene::{Mask, MaskFiles, PhotoStore};
 use segwild_trainer::{AppearanceModel, Model, Photos, Protocol, TrainPhoto, ViewScore, evaluate};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -121,7 +121,7 @@ pub fn held_out_render(folder: &RunFolder, photo: &str) -> Result<PathBuf, RunEr
 /// When no photo can be scored, when the file cannot be written, and the errors of `record`.
 pub(crate) fn held_out(
     folder: &RunFolder,
-    scene: &Arc<Scene>,
+    store: &Arc<PhotoStore>,
     model: &Model,
     engine: &dyn Rasterizer,
     settings: &Settings,
@@ -129,9 +129,9 @@ pub(crate) fn held_out(
     sky: impl Fn(usize) -> Result<Option<Mask>, String> + Send + Sync + 'static,
     mut record: impl FnMut(usize, Result<f64, String>) -> Result<(), RunError>,
 ) -> Result<Option<HeldOut>, RunError> {
-    let size = settings.scene.size;
+    let scene = &**store.scene();
     let views: Vec<usize> = (0..scene.views.len())
-        .filter(|&i| scene.views[i].test && usable(i) && scene.views[i].load(size).is_ok())
+        .filter(|&i| scene.views[i].test && usable(i) && store.read(i).is_ok())
         .collect();
     if views.is_empty() {
         return Ok(None);
@@ -141,10 +141,10 @@ pub(crate) fn held_out(
         Protocol::Plain => "whole photo, no appearance fitted",
         Protocol::Halves => "appearance fitted on the left half, right half scored",
     };
-    let source = scene.clone();
+    let source = store.clone();
     let photos: Arc<dyn Photos> = Arc::new(move |view: usize| -> Result<TrainPhoto, String> {
-        let loaded = source.views[view].load(size).map_err(|e| e.to_string())?;
-        Ok(TrainPhoto::new(loaded, sky(view)?))
+        let loaded = source.read(view).map_err(|e| e.to_string())?;
+        Ok(TrainPhoto::new(Arc::unwrap_or_clone(loaded), sky(view)?))
     });
     let there = engine.hold(&model.splats);
     let there = there.map_err(|e| RunError::Stage { stage: "evaluate", reason: e.to_string() })?;

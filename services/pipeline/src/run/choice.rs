@@ -5,7 +5,7 @@ use crate::artifacts::keys::Keys;
 use crate::{RunBudget, RunError, RunFolder, Settings};
 use segwild_flow::{Cache, CacheError, Key};
 use segwild_objective::Engine;
-use segwild_scene::{Mask, Scene};
+use segwild_scene::{Mask, PhotoStore, Scene};
 use segwild_trainer::{
     AppearanceChoice, AppearanceModel, BudgetChoice, CHOICE_SIZE, Photos, Sifted, TrainError, TrainPhoto,
     choose_appearance, choose_budget, trial_size,
@@ -188,13 +188,15 @@ impl Chooser<'_> {
     /// memory.
     fn photos(&self, size: u32, settings: &Settings) -> Arc<dyn Photos> {
         let (scene, sky) = (self.scene.clone(), self.sky.clone());
+        // They are held below, with their skies.
+        let store = PhotoStore::new(scene.clone(), size, 0);
         let held: Mutex<BTreeMap<usize, Result<TrainPhoto, String>>> = Mutex::default();
         let read = move |view: usize| -> Result<TrainPhoto, String> {
-            let loaded = scene.views[view].load(size).map_err(|e| e.to_string())?;
+            let loaded = store.read(view).map_err(|e| e.to_string())?;
             // A photo is used even without its sky.
             let seen = scene.points_in(view, loaded.image.width, loaded.image.height);
             let sky: Option<Mask> = sky.sky_above(&loaded.image, &seen).ok();
-            Ok(TrainPhoto::new(loaded, sky))
+            Ok(TrainPhoto::new(Arc::unwrap_or_clone(loaded), sky))
         };
         let photos = move |view: usize| -> Result<TrainPhoto, String> {
             let mut held = held.lock().unwrap_or_else(PoisonError::into_inner);

@@ -19,7 +19,7 @@ use segwild_flow::ledger::{State, ViewOutcome, ViewRow};
 use segwild_flow::{ActorFailure, Cache, Event, Key, Ledger, Phase, Quarantined, StageProgress};
 use segwild_masks::MaskMaker;
 use segwild_objective::Engine;
-use segwild_scene::{Scene, Skipped};
+use segwild_scene::{PhotoStore, Scene, Skipped};
 use segwild_trainer::Model;
 use segwild_vision::{Embedder, PromptSegmenter};
 use std::collections::BTreeMap;
@@ -33,6 +33,8 @@ pub struct RunContext<'a> {
     pub options: &'a RunOptions,
     pub ledger: &'a Ledger,
     pub scene: Arc<Scene>,
+    /// Its photos, at the size of the training.
+    pub photos: Arc<PhotoStore>,
     pub engine: Arc<dyn Engine>,
     /// The keys of a run that finds every sky.
     pub full_keys: Keys,

@@ -97,13 +97,12 @@ impl<'a> Coordinator<'a> {
         let (training, training_in) = mailbox::<TrainOrder>("trainer", limits);
         let own = out.clone();
         let parts = ActorParts {
-            scene: run.scene.clone(),
+            photos: run.photos.clone(),
             engine: run.engine.clone(),
             cache: run.cache.clone(),
             sky: providers.sky.clone(),
             maker: run.maker.clone(),
             embedder: run.embedder.clone(),
-            size: run.settings.scene.size,
             features: run.settings.features.clone(),
             photos_at_once,
         };

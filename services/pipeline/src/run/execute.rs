@@ -26,7 +26,7 @@ use crate::transients::TrainFit;
 use crate::{RunError, RunFolder};
 use segwild_flow::{ActorFailure, Cache, Event, Events, Key, Report};
 use segwild_masks::{MaskMaker, sasm};
-use segwild_scene::Scene;
+use segwild_scene::{PhotoStore, Scene};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -116,11 +116,11 @@ fn context<'a>(
     let RunPlan { settings, cache, keys, .. } = plan;
     let names = Arc::new(Mutex::new(keys.clone()));
     warn_of_damage(cache, &names, scene, &options.events);
-    let size = settings.scene.size;
+    let memory = settings.run.photo_memory as usize * (1 << 20);
+    let photos = Arc::new(PhotoStore::new(scene.clone(), settings.scene.size, memory));
     let recompute = Recompute { scene: scene.clone(), cache: cache.clone(), events: options.events.clone() };
     let maker = MaskMaker {
-        scene: scene.clone(),
-        size,
+        photos: photos.clone(),
         proposer: providers.proposer.clone(),
         settings: settings.masks.clone(),
         depths: sasm::SceneDepths::of(scene),
@@ -131,6 +131,7 @@ fn context<'a>(
         options,
         ledger: &prepared.ledger,
         scene: scene.clone(),
+        photos: photos.clone(),
         engine: prepared.engine.clone(),
         full_keys: keys.clone(),
         elsewhere: plan.elsewhere.clone(),
@@ -141,7 +142,7 @@ fn context<'a>(
         cache: cache.clone(),
         last: plan.last,
         steps: plan.steps,
-        skies: Arc::new(Skies::new(recompute, size, keys.sky.clone(), providers.sky.clone())),
+        skies: Arc::new(Skies::new(recompute, photos, keys.sky.clone(), providers.sky.clone())),
         known: plan.known.clone(),
         segmenter: providers.segmenter.clone(),
         embedder: providers.embedder.clone(),

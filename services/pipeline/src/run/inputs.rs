@@ -13,7 +13,7 @@ use segwild_features::{EMBEDDING, FieldInputs, describe};
 use segwild_flow::{ActorFailure, Context};
 use segwild_masks::{MaskMaker, MaskSource, Snapshot};
 use segwild_objective::Engine;
-use segwild_scene::{Embedding, Image, Mask, MaskSet, Scene};
+use segwild_scene::{Embedding, Image, Mask, MaskSet, PhotoStore, Scene};
 use segwild_trainer::{Model, TrainPhoto, render_view};
 use segwild_vision::{Embedder, PromptSegmenter};
 use std::sync::Arc;
@@ -53,8 +53,8 @@ pub struct Inputs {
     pub recompute: Recompute,
     /// Their keys.
     pub keys: Keys,
-    /// Long side of the photos in pixels.
-    pub size: u32,
+    /// The photos.
+    pub photos: Arc<PhotoStore>,
     /// The trained scene.
     pub model: Arc<Model>,
     /// Renders it.
@@ -76,9 +76,9 @@ pub struct Inputs {
 impl Inputs {
     /// Compares a photo with the trained scene: its visibility.
     pub fn compare(&self, view: usize) -> Result<Mask, ActorFailure> {
-        let (posed, sky) = (&self.recompute.scene.views[view], self.skies.read(view)?);
+        let sky = self.skies.read(view)?;
         let transients = &self.known.corrections;
-        Ok(visibility(&self.model, &*self.engine, posed, view, sky.as_ref(), transients, self.size)?)
+        Ok(visibility(&self.model, &*self.engine, &self.photos, view, sky.as_ref(), transients)?)
     }
 
     /// Writes the mask image of each photo's transients into the run folder. Returns warnings about single photos.
@@ -99,8 +99,8 @@ impl Inputs {
             at_once: self.photos_at_once,
         };
         let photo = |view: usize| -> Result<TrainPhoto, ActorFailure> {
-            let loaded = self.recompute.scene.views[view].load(self.size).map_err(ActorFailure::retry)?;
-            let mut photo = TrainPhoto::new(loaded, self.skies.read(view)?);
+            let loaded = self.photos.read(view).map_err(ActorFailure::retry)?;
+            let mut photo = TrainPhoto::new(Arc::unwrap_or_clone(loaded), self.skies.read(view)?);
             self.known.apply(view, &mut photo).map_err(ActorFailure::retry)?;
             Ok(photo)
         };
@@ -120,8 +120,12 @@ impl Inputs {
         let model = model.filter(|model| model.check().is_ok());
         let gone = || ActorFailure::retry("the snapshot that they were proposed from has gone, too");
         let (engine, scene) = (self.engine.clone(), self.recompute.scene.clone());
-        let snapshot =
-            SnapshotRenders { model: Arc::new(model.ok_or_else(gone)?), engine, scene, size: self.size };
+        let snapshot = SnapshotRenders {
+            model: Arc::new(model.ok_or_else(gone)?),
+            engine,
+            scene,
+            size: self.photos.long_side(),
+        };
         let sky = self.skies.read(view)?;
         let render = match self.maker.settings.mask_source {
             MaskSource::Render => Some(snapshot.render(view).map_err(ActorFailure::retry)?),
@@ -135,10 +139,8 @@ impl FieldInputs for Inputs {
     fn embedding(&self, view: usize) -> Result<Embedding, ActorFailure> {
         let kept =
             CachedArtefact { view, what: "embedding", kind: EMBEDDING, key: &self.keys.embedding[view] };
-        self.recompute.read(kept, || {
-            describe(&*self.embedder, &self.recompute.scene.views[view], self.size)
-                .map_err(ActorFailure::retry)
-        })
+        self.recompute
+            .read(kept, || describe(&*self.embedder, &self.photos, view).map_err(ActorFailure::retry))
     }
 
     fn visibility(&self, view: usize) -> Result<Mask, ActorFailure> {

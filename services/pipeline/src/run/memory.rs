@@ -2,7 +2,7 @@
 //!
 //! Only indexes (names, keys, cameras, points) grow with the number of photos: photos, embeddings, masks and renders
 //! are read when they are needed and pass through bounded mailboxes. The memory is proportional to the splats and to
-//! the size of one photo, plus three caches with limits of their own, which shrink to fit the budget.
+//! the size of one photo, plus four caches with limits of their own, which shrink to fit the budget.
 
 use crate::{RunError, Settings};
 use segwild_objective::{EmbedAppearance, GswAppearance};
@@ -77,7 +77,7 @@ fn need(settings: &Settings, scene: &Scene) -> MemoryNeed {
     let alone = with_one_photo(settings, scene) + most_decoding(settings, scene) as f64 / MIB;
     let all = alone + (settings.most_photos_at_once() - 1) as f64 * further_photo(settings, scene);
     // The analyses of photos are held to the end. The trainer's photos are freed before the feature field is made.
-    let caches = settings.vision.vision_memory as usize
+    let caches = (settings.vision.vision_memory + settings.run.photo_memory) as usize
         + settings.train.photo_cache_mib.max(settings.features.feature_memory as usize);
     let least_mib = with(alone, 2 * LEAST_CACHE);
     MemoryNeed {
@@ -254,6 +254,10 @@ pub(crate) fn within_budget(settings: &Settings, scene: &Scene) -> Result<Settin
         (DECODED * pixels(&settings, scene) as u64) as f64 * photos_at_once(&settings, scene) as f64;
     segwild_scene::limit_decoding(Some((one + more + counted) as u64));
     let for_caches = ((budget as f64 - alone - more / MIB) / PER_CACHED) as usize;
+    // Photos can be decoded again: the caches of what is dear have their least first.
+    let photos = for_caches.saturating_sub(2 * LEAST_CACHE) / 4;
+    settings.run.photo_memory = settings.run.photo_memory.min(photos as u32);
+    let for_caches = for_caches - settings.run.photo_memory as usize;
     settings.vision.vision_memory = settings.vision.vision_memory.min((for_caches / 2) as u32);
     let rest = for_caches - settings.vision.vision_memory as usize;
     settings.train.photo_cache_mib = settings.train.photo_cache_mib.min(rest);

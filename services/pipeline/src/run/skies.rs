@@ -5,7 +5,7 @@ use crate::run::view_slots::ViewSlots;
 use crate::{RunError, RunFolder};
 use segwild_flow::ledger::State;
 use segwild_flow::{ActorFailure, Events, Key, Ledger};
-use segwild_scene::{Mask, Scene};
+use segwild_scene::{Mask, PhotoStore};
 use segwild_vision::SkyDetector;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -23,7 +23,7 @@ pub struct Skies {
     /// Per view, whether its sky is in the cache; `false` when it was given up.
     known: ViewSlots<bool>,
     recompute: Recompute,
-    size: u32,
+    photos: Arc<PhotoStore>,
     keys: Vec<Key>,
     detector: Arc<dyn SkyDetector>,
     lost: Mutex<Option<ActorFailure>>,
@@ -34,10 +34,15 @@ pub struct Skies {
 }
 
 impl Skies {
-    /// No sky is known yet. `keys` has the key of each view's sky, `size` the long side of the photos in pixels.
-    pub fn new(recompute: Recompute, size: u32, keys: Vec<Key>, detector: Arc<dyn SkyDetector>) -> Skies {
+    /// No sky is known yet. `keys` has the key of each view's sky.
+    pub fn new(
+        recompute: Recompute,
+        photos: Arc<PhotoStore>,
+        keys: Vec<Key>,
+        detector: Arc<dyn SkyDetector>,
+    ) -> Skies {
         let (known, lost, open) = (ViewSlots::new("sky"), Mutex::default(), Mutex::default());
-        Skies { known, recompute, size, keys, detector, lost, open, waited_us: AtomicU64::new(0) }
+        Skies { known, recompute, photos, keys, detector, lost, open, waited_us: AtomicU64::new(0) }
     }
 
     /// Sets the views whose sky is to be found, in this order until [`Skies::prefer`] changes it.
@@ -88,7 +93,7 @@ impl Skies {
         if !self.found(view) {
             return Ok(None);
         }
-        let sky = kept_or_found(&self.recompute, view, &self.keys[view], self.size, &*self.detector);
+        let sky = kept_or_found(&self.recompute, view, &self.keys[view], &self.photos, &*self.detector);
         sky.map(Some).inspect_err(|failure| {
             lock(&self.lost).get_or_insert_with(|| failure.clone());
         })
@@ -105,31 +110,30 @@ fn kept_or_found(
     recompute: &Recompute,
     view: usize,
     key: &Key,
-    size: u32,
+    photos: &PhotoStore,
     detector: &dyn SkyDetector,
 ) -> Result<Mask, ActorFailure> {
     recompute.read(CachedArtefact { view, what: "sky", kind: "sky", key }, || {
-        let photo = recompute.scene.views[view].load(size).map_err(ActorFailure::retry)?;
+        let photo = photos.read(view).map_err(ActorFailure::retry)?;
         let seen = recompute.scene.points_in(view, photo.image.width, photo.image.height);
         Ok(detector.sky_above(&photo.image, &seen)?)
     })
 }
 
-/// Returns a reader of the skies that a run has found, at the long side `size` that it found them at. It gives `None`
-/// for a sky that was given up.
+/// Returns a reader of the skies that a run has found. It gives `None` for a sky that was given up.
 pub(crate) fn of_run(
     folder: &RunFolder,
-    scene: &Arc<Scene>,
-    size: u32,
+    photos: Arc<PhotoStore>,
     detector: Arc<dyn SkyDetector>,
 ) -> Result<impl Fn(usize) -> Option<Mask> + Send + Sync + use<>, RunError> {
     let rows = Ledger::open_read_only(folder.ledger())?.views("sky")?;
     let done = rows.into_iter().filter(|row| row.outcome.state == State::Done);
     let keys: BTreeMap<String, Key> =
         done.filter_map(|row| Some((row.view, Key::parse("sky", &row.key)?))).collect();
-    let recompute = Recompute { scene: scene.clone(), cache: folder.cache()?, events: Events::new() };
+    let recompute =
+        Recompute { scene: photos.scene().clone(), cache: folder.cache()?, events: Events::new() };
     Ok(move |view: usize| {
         let key = keys.get(&recompute.scene.views[view].name)?;
-        kept_or_found(&recompute, view, key, size, &*detector).ok()
+        kept_or_found(&recompute, view, key, &photos, &*detector).ok()
     })
 }

@@ -6,7 +6,7 @@ use segwild_features::{FeatureActor, FeatureSettings, FeatureTask};
 use segwild_flow::{ActorOptions, Cache, Receiver, Sender, System};
 use segwild_masks::{MaskActor, MaskMaker, MaskTask};
 use segwild_objective::Engine;
-use segwild_scene::Scene;
+use segwild_scene::PhotoStore;
 use segwild_trainer::{TrainActor, TrainOrder};
 use segwild_vision::{Embedder, SkyDetector};
 use std::sync::Arc;
@@ -26,8 +26,8 @@ pub struct ActorInboxes {
 /// What the actors of a run are built from, at first and again after a panic.
 #[derive(Clone)]
 pub struct ActorParts {
-    /// The scene.
-    pub scene: Arc<Scene>,
+    /// The photos.
+    pub photos: Arc<PhotoStore>,
     /// Renders and trains.
     pub engine: Arc<dyn Engine>,
     /// Where artefacts are stored.
@@ -38,8 +38,6 @@ pub struct ActorParts {
     pub maker: Arc<MaskMaker>,
     /// Embeds photos.
     pub embedder: Arc<dyn Embedder>,
-    /// Long side in pixels at which photos are read.
-    pub size: u32,
     /// How the feature field is made.
     pub features: FeatureSettings,
     /// Photos that are worked on at once.
@@ -73,8 +71,8 @@ impl Wiring for ComputingActors {
             Ok(MaskActor { sky, maker, cache, out: o.clone() })
         })?;
         system.spawn(features, parallel, move || {
-            let ActorParts { scene, engine, cache, embedder, size, features: settings, .. } = parts.clone();
-            Ok(FeatureActor { scene, size, embedder, engine, cache, settings, out: out.clone() })
+            let ActorParts { photos, engine, cache, embedder, features: settings, .. } = parts.clone();
+            Ok(FeatureActor { photos, embedder, engine, cache, settings, out: out.clone() })
         })?;
         Ok(())
     }

@@ -19,7 +19,6 @@
 //! ```
 
 mod answer;
-mod photos;
 pub(crate) mod prompts;
 mod resident;
 mod save;

@@ -1,7 +1,6 @@
 //! A run's scene, kept in memory.
 
 use super::answer::{PendingAnswer, failed};
-use super::photos::DecodedPhotos;
 use super::prompts::check_all;
 use crate::accelerator::leased;
 use crate::artifacts::folder::{Loaded, TrainingSnapshot};
@@ -16,7 +15,7 @@ use crate::{
 };
 use segwild_flow::{ActorOptions, Limits, Phase, Sender, Stopper, System, SystemOptions, mailbox};
 use segwild_objective::Engine;
-use segwild_scene::{Prompts, Scene};
+use segwild_scene::{PhotoStore, Prompts, Scene};
 use segwild_segmenter::scene_tree::{GroupCandidate, SceneTree};
 use segwild_segmenter::{
     PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask, SplatFeatures,
@@ -42,12 +41,17 @@ impl Default for SessionOptions {
     }
 }
 
+/// Bytes of decoded photos that a session keeps.
+pub(super) const PHOTO_BYTES: usize = 192 << 20;
+
 /// A run's scene, kept in memory for prompts.
 pub struct Session {
     pub(super) folder: RunFolder,
     /// The settings that the run was made with.
     pub(super) made_with: Settings,
     pub(super) scene: Arc<Scene>,
+    /// Its photos, at working size: every click reads all of them, round after round.
+    pub(super) photos: Arc<PhotoStore>,
     pub(super) model: Model,
     pub(super) engine: Arc<dyn Engine>,
     pub(super) providers: Providers,
@@ -113,18 +117,23 @@ impl Session {
             }
             None => None,
         };
+        let scene = Arc::new(scene);
+        let photos = Arc::new(PhotoStore::new(scene.clone(), size, PHOTO_BYTES));
         let tree = match training.as_ref().filter(|_| tree) {
             Some(geometry) => {
                 let segmenter = &*providers.segmenter;
-                let source = TreeSource { scene: &scene, model: &model, geometry, size, segmenter };
+                let source = TreeSource { photos: &photos, model: &model, geometry, segmenter };
                 let tree = source.tree(&folder.cache()?, &|| stopper.phase() != Phase::Running)?;
                 tree.map(|tree| KeyedTree { key: source.key().to_string(), tree: Arc::new(tree) })
             }
             None => None,
         };
-        let scene = Arc::new(scene);
-        let decoded = DecodedPhotos::new(scene.clone(), size);
-        let photos = Arc::new(move |view: usize| decoded.read(view));
+        let store = photos.clone();
+        let read = move |view: usize| match store.read(view) {
+            Ok(photo) => Ok(photo.image.clone()),
+            Err(error) => Err(error.to_string()),
+        };
+        let read = Arc::new(read);
         let system = System::new(SystemOptions {
             threads: made_with.run.threads as usize,
             ..SystemOptions::default()
@@ -133,7 +142,7 @@ impl Session {
         let views = scene.views.iter().map(|v| PosedView { camera: v.camera.scaled_to(size), ..v.into() });
         let views: Arc<Vec<PosedView>> = Arc::new(views.collect());
         let barred: Arc<Vec<bool>> = Arc::new(scene.views.iter().map(|v| v.test).collect());
-        let skies = Arc::new(skies::of_run(folder, &scene, size, providers.sky.clone())?);
+        let skies = Arc::new(skies::of_run(folder, photos.clone(), providers.sky.clone())?);
         let transients = Arc::new(transients::of_run(folder, &scene));
         let splats = Arc::new(model.splats.clone());
         let (options, segmenter) = (model.options(), providers.segmenter.clone());
@@ -147,7 +156,7 @@ impl Session {
                 views: views.clone(),
                 barred: barred.clone(),
                 features: features.clone(),
-                photos: photos.clone(),
+                photos: read.clone(),
                 skies: skies.clone(),
                 transients: transients.clone(),
                 segmenter: segmenter.clone(),
@@ -161,6 +170,7 @@ impl Session {
             folder,
             made_with,
             scene,
+            photos,
             model,
             engine,
             providers,
@@ -210,8 +220,7 @@ impl Session {
                 self.providers.name
             )));
         };
-        let size = self.made_with.scene.size;
-        Ok(ListRequest { scene: &self.scene, model: &self.model, size, tree, key: key.clone() })
+        Ok(ListRequest { photos: &self.photos, model: &self.model, tree, key: key.clone() })
     }
 
     /// Asks for the object of the prompts, or for one of the scene's list. Queries are answered one after the other; `cancel`

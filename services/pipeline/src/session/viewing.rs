@@ -1,8 +1,7 @@
 //! What a person sees of a session: photos, the scene from any camera, and files of objects.
 
 use super::answer::Answer;
-use super::photos::MOST_BYTES as DECODED_BYTES;
-use super::resident::Session;
+use super::resident::{PHOTO_BYTES, Session};
 use super::selected::Selected;
 use crate::output::light::{self, BlendedAppearance};
 use crate::output::render::{HIGHLIGHT, NOTHING, over_white};
@@ -67,7 +66,7 @@ impl Session {
             camera.width as usize * camera.height as usize
         };
         let photos: usize = (0..self.scene.views.len()).map(|view| PIXEL_BYTES * pixels(view)).sum();
-        2 * of_splats + GROUP_BYTES * groups + photos.min(DECODED_BYTES)
+        2 * of_splats + GROUP_BYTES * groups + photos.min(PHOTO_BYTES)
     }
 
     /// Long side in pixels at which photos are worked with.

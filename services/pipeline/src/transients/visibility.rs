@@ -2,7 +2,7 @@
 
 use super::corrections::Corrections;
 use segwild_raster::Rasterizer;
-use segwild_scene::{Mask, View};
+use segwild_scene::{Mask, PhotoStore};
 use segwild_trainer::{Model, TrainError, render_view};
 
 /// Long side in pixels at which photos are compared with the scene.
@@ -12,23 +12,24 @@ const HARMLESS: f32 = 0.12;
 /// A pixel is transient when its residual is over this many times the photo's median residual.
 const TOLERANCE: f32 = 4.0;
 
-/// Computes the visibility mask of a view, on a grid whose long side has at most 160 cells. `size` is the long side in
-/// pixels that the photo is trained at, `sky` its sky.
+/// Computes the visibility mask of a view, on a grid whose long side has at most 160 cells. `sky` is the
+/// photo's sky.
 ///
 /// # Errors
 /// When the photo cannot be loaded or the scene cannot be rendered.
 pub fn visibility(
     model: &Model,
     engine: &dyn Rasterizer,
-    view: &View,
+    photos: &PhotoStore,
     index: usize,
     sky: Option<&Mask>,
     transients: &Corrections,
-    size: u32,
 ) -> Result<Mask, TrainError> {
-    let photo =
-        view.load(size).map_err(|e| TrainError::Photo { name: view.name.clone(), reason: e.to_string() })?;
-    let camera = view.camera.scaled_to(SIZE.min(size));
+    let view = &photos.scene().views[index];
+    let photo = photos
+        .read(index)
+        .map_err(|e| TrainError::Photo { name: view.name.clone(), reason: e.to_string() })?;
+    let camera = view.camera.scaled_to(SIZE.min(photos.long_side()));
     let (w, h) = (camera.width as usize, camera.height as usize);
     let render = render_view(model, engine, &camera, &view.pose, Some(index))?;
     let small = photo.image.resized(w, h);

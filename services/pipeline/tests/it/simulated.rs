@@ -177,7 +177,7 @@ impl Wiring for Simulated {
             seen: self.seen.clone(),
             gives_up: Arc::new(self.gives_up.clone()),
             cache: parts.cache.clone(),
-            scene: parts.scene,
+            scene: parts.photos.scene().clone(),
         };
         let (one, field_of) = (desk.clone(), self.field_of.clone());
         system.spawn(features, ActorOptions::default(), move || {

@@ -4,6 +4,7 @@ mod common;
 
 mod formats;
 mod open;
+mod photo_store;
 mod photos;
 mod shapes;
 mod shared_data;

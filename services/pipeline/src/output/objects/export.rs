@@ -52,7 +52,7 @@ pub fn export_objects(
         return Err(RunError::Request(format!("{} is not empty: choose a new folder", out.display())));
     }
     let request = session.list_request()?;
-    let in_colour = light::shown(request.scene, request.model, appearance)?;
+    let in_colour = light::shown(request.scene(), request.model, appearance)?;
     let names: Vec<String> = listed.list.objects.iter().map(SceneObject::label).collect();
     let coco = annotations(session, &names, &listed.parts, stopper)?;
     files::write_folder(out, |aside| -> Result<(), RunError> {
@@ -61,7 +61,7 @@ pub fn export_objects(
             let bytes = value.map_err(|e| RunError::Folder { path: path.clone(), reason: e.to_string() })?;
             Ok(files::write_atomic(&path, &bytes)?)
         };
-        let export = light::export(request.scene, request.model);
+        let export = light::export(request.scene(), request.model);
         for object in &listed.list.objects {
             let holds = |i: &usize| usize::from(listed.parts.labels[*i]) == object.number;
             let splats: Vec<usize> = (0..in_colour.len()).filter(holds).collect();

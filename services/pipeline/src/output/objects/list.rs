@@ -3,7 +3,7 @@
 use super::sheet;
 use crate::{ObjectQuery, RunError, RunFolder};
 use segwild_flow::{FileError, Phase, Stopper, fault, files};
-use segwild_scene::{Image, Mask, Scene};
+use segwild_scene::{Image, Mask, PhotoStore, Scene};
 use segwild_segmenter::PosedView;
 use segwild_segmenter::scene_tree::{PartMap, SceneParts, SceneTree};
 use segwild_trainer::Model;
@@ -158,10 +158,8 @@ fn can_name(name: &str) -> Result<(), RunError> {
 
 /// What a list is made of.
 pub(crate) struct ListRequest<'a> {
-    pub scene: &'a Scene,
+    pub photos: &'a PhotoStore,
     pub model: &'a Model,
-    /// Long side in pixels at which photos are read.
-    pub size: u32,
     pub tree: &'a SceneTree,
     /// Its key.
     pub key: String,
@@ -185,10 +183,15 @@ struct ShownIn {
 }
 
 impl ListRequest<'_> {
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        self.photos.scene()
+    }
+
     /// The view of a photo at working size.
     pub fn posed(&self, view: usize) -> PosedView {
-        let view = &self.scene.views[view];
-        PosedView { camera: view.camera.scaled_to(self.size), ..view.into() }
+        let view = &self.scene().views[view];
+        PosedView { camera: view.camera.scaled_to(self.photos.long_side()), ..view.into() }
     }
 
     fn map(&self, view: usize, parts: &SceneParts) -> Result<PartMap, RunError> {
@@ -202,7 +205,7 @@ impl ListRequest<'_> {
     pub fn list(&self, before: Option<&ObjectList>, stopper: &Stopper) -> Result<ListedObjects, RunError> {
         let parts = self.tree.parts();
         let mut shown = vec![ShownIn::default(); parts.groups.len() + 1];
-        let training = || (0..self.scene.views.len()).filter(|&view| !self.scene.views[view].test);
+        let training = || (0..self.scene().views.len()).filter(|&view| !self.scene().views[view].test);
         for view in training() {
             if stopper.phase() != Phase::Running {
                 return Err(RunError::Interrupted);
@@ -223,7 +226,7 @@ impl ListRequest<'_> {
         let (mut objects, mut thumbnails) = (Vec::new(), Vec::new());
         for (group, number) in parts.groups.iter().zip(1..) {
             let ShownIn { photos, view, .. } = shown[number];
-            let (map, photo) = (self.map(view, &parts)?, &self.scene.views[view]);
+            let (map, photo) = (self.map(view, &parts)?, &self.scene().views[view]);
             let mask = map.mask(number as u8);
             objects.push(SceneObject {
                 number,
@@ -236,15 +239,15 @@ impl ListRequest<'_> {
                 pixel: self.as_taken(view, &mask).unwrap_or_default(),
             });
             // A photo that can no longer be read leaves a dark thumbnail.
-            let image = photo.load(self.size).map(|loaded| loaded.image);
-            thumbnails.push(sheet::thumbnail(image.ok().as_ref(), &mask));
+            let image = self.photos.read(view).ok();
+            thumbnails.push(sheet::thumbnail(image.as_ref().map(|loaded| &loaded.image), &mask));
         }
         Ok(ListedObjects { list: ObjectList { tree: self.key.clone(), objects }, parts, thumbnails })
     }
 
     /// The deepest pixel of a mask of a view, in the photo as taken, at full size.
     fn as_taken(&self, view: usize, mask: &Mask) -> Option<[f32; 2]> {
-        let view = &self.scene.views[view];
+        let view = &self.scene().views[view];
         let depths = mask.not().distances();
         let depth = |&(x, y): &(u32, u32)| depths[(y * mask.width() + x) as usize];
         // Of equal depths the first counts.
@@ -263,9 +266,9 @@ impl ListRequest<'_> {
         let mut names = BTreeMap::new();
         let named = before.iter().flat_map(|list| &list.objects).filter(|object| !object.name.is_empty());
         for object in named {
-            let Some(view) = self.scene.views.iter().position(|v| v.name == object.photo) else { continue };
-            let (full, map) = (self.scene.views[view].camera, self.map(view, parts)?);
-            let Some([x, y]) = self.scene.views[view].from_taken(object.pixel) else { continue };
+            let Some(view) = self.scene().views.iter().position(|v| v.name == object.photo) else { continue };
+            let (full, map) = (self.scene().views[view].camera, self.map(view, parts)?);
+            let Some([x, y]) = self.scene().views[view].from_taken(object.pixel) else { continue };
             let at = |v: f32, full: u32, small: usize| {
                 ((v * small as f32 / full.max(1) as f32) as usize).min(small.saturating_sub(1))
             };

@@ -42,7 +42,7 @@ fn evaluate(after: &mut AfterActors<'_, '_>) -> Result<(), RunError> {
     let mut unscored = BTreeSet::new();
     let scored = traces.step(report, name, || {
         let usable = |view: usize| run.keys.unreadable(view).is_none();
-        held_out(run.folder, &run.scene, &model, &*run.engine, run.settings, usable, sky, |view, scored| {
+        held_out(run.folder, &run.photos, &model, &*run.engine, run.settings, usable, sky, |view, scored| {
             let photo = &run.scene.views[view].name;
             let outcome = match scored {
                 Ok(seconds) => ViewOutcome::done(seconds),

@@ -219,13 +219,12 @@ fn finish(run: &mut RunContext<'_>) -> Result<(), RunError> {
 
 /// The photos as the trainer reads them: each waits for its sky.
 fn photos(run: &RunContext<'_>) -> Arc<dyn Photos> {
-    let (scene, size, skies) = (run.scene.clone(), run.settings.scene.size, run.skies.clone());
+    let (store, skies) = (run.photos.clone(), run.skies.clone());
     let (stopper, tainted) = (run.options.stopper.clone(), run.tainted.clone());
     let transients = run.known.clone();
     let photos = move |view: usize| -> Result<TrainPhoto, String> {
-        let posed = &scene.views[view];
-        let loaded = posed.load(size).map_err(|e| {
-            tainted.fetch_or(posed.intact().is_err(), Ordering::AcqRel);
+        let loaded = store.read(view).map_err(|e| {
+            tainted.fetch_or(store.scene().views[view].intact().is_err(), Ordering::AcqRel);
             e.to_string()
         })?;
         let known = skies.wait(view, || stopper.phase() == Phase::Stopping);
@@ -233,7 +232,7 @@ fn photos(run: &RunContext<'_>) -> Arc<dyn Photos> {
         if known.is_none() || sky.is_err() {
             tainted.store(true, Ordering::Release);
         }
-        let mut photo = TrainPhoto::new(loaded, sky.map_err(|e| e.to_string())?);
+        let mut photo = TrainPhoto::new(Arc::unwrap_or_clone(loaded), sky.map_err(|e| e.to_string())?);
         transients.apply(view, &mut photo)?;
         Ok(photo)
     };

@@ -41,14 +41,13 @@ fn list(run: &RunContext<'_>, model: &Model) -> Result<(), RunError> {
     }
     run.ledger.start_stage(name, &key)?;
     let progress = events.stage(name, None);
-    let (size, geometry) = (run.settings.scene.size, run.keys.geometry.to_string());
-    let source =
-        TreeSource { scene: &run.scene, model, geometry: &geometry, size, segmenter: &*run.segmenter };
+    let geometry = run.keys.geometry.to_string();
+    let source = TreeSource { photos: &run.photos, model, geometry: &geometry, segmenter: &*run.segmenter };
     let stopping = || run.is_stopping();
     match source.tree(&run.cache, &stopping)? {
         Some(tree) => {
-            let (scene, key) = (&*run.scene, source.key().to_string());
-            let request = ListRequest { scene, model, size, tree: &tree, key };
+            let (photos, key) = (&*run.photos, source.key().to_string());
+            let request = ListRequest { photos, model, tree: &tree, key };
             request.list(before.as_ref(), &run.options.stopper)?.write(folder)?;
         }
         None if stopping() => return Err(RunError::Interrupted),

@@ -57,7 +57,7 @@ impl ActorStage for VisibilityStage {
         let inputs = Arc::new(Inputs {
             recompute: run.recompute(),
             keys: run.keys.clone(),
-            size: run.settings.scene.size,
+            photos: run.photos.clone(),
             model,
             engine: run.engine.clone(),
             skies: run.skies.clone(),
@@ -135,13 +135,7 @@ fn tree_source<'a>(
     geometry: &'a str,
     segmenter: &'a dyn PromptSegmenter,
 ) -> TreeSource<'a> {
-    TreeSource {
-        scene: &inputs.recompute.scene,
-        model: &inputs.model,
-        geometry,
-        size: inputs.size,
-        segmenter,
-    }
+    TreeSource { photos: &inputs.photos, model: &inputs.model, geometry, segmenter }
 }
 
 /// Computes the visibility of a photo into the cache, if it is not there.

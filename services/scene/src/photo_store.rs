@@ -1,0 +1,120 @@
+//! The photos of a scene at one size: decoded in one place, once for all who need a photo at about the same time.
+//!
+//! The stages of a run need the same photos at different times: for the sky, the embedding, the masks, the training, the
+//! scene tree, the evaluation. All of them read through one store.
+
+use crate::{LoadedPhoto, Scene, SceneError};
+use std::collections::VecDeque;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+
+/// Decodes the photos of a scene at one size, and keeps those that were read last.
+pub struct PhotoStore {
+    scene: Arc<Scene>,
+    long_side: u32,
+    most_bytes: usize,
+    held: Mutex<HeldPhotos>,
+    decoded: Condvar,
+}
+
+/// What the store holds at a moment.
+#[derive(Default)]
+struct HeldPhotos {
+    /// Views with their photos; the last read is the last.
+    photos: VecDeque<(usize, Arc<LoadedPhoto>)>,
+    bytes: usize,
+    /// Views that some thread decodes.
+    in_work: Vec<usize>,
+}
+
+impl PhotoStore {
+    /// The photos of a scene with a long side of at most `long_side` pixels. Up to `most_bytes` of them are kept; the
+    /// photo that was read last is kept whatever its size, unless it is 0.
+    pub fn new(scene: Arc<Scene>, long_side: u32, most_bytes: usize) -> PhotoStore {
+        PhotoStore { scene, long_side, most_bytes, held: Mutex::default(), decoded: Condvar::new() }
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Arc<Scene> {
+        &self.scene
+    }
+
+    /// The long side of photos, in pixels.
+    pub fn long_side(&self) -> u32 {
+        self.long_side
+    }
+
+    /// Bytes of the photos that are kept.
+    pub fn bytes(&self) -> usize {
+        self.held().bytes
+    }
+
+    /// A photo, as [`View::load`](crate::View::load) decodes it. Whoever comes while it is decoded waits for it.
+    ///
+    /// # Errors
+    /// When its file cannot be read, or is not the one any more that it was when the scene was opened. Nothing is kept
+    /// of a failure: the next reader tries again.
+    pub fn read(&self, view: usize) -> Result<Arc<LoadedPhoto>, SceneError> {
+        let view_of = &self.scene.views[view];
+        let mut held = self.held();
+        loop {
+            if let Some(photo) = held.take(view) {
+                // A photo that has changed since is no photo of this scene.
+                if let Err(changed) = view_of.intact() {
+                    held.bytes -= photo.bytes();
+                    return Err(changed);
+                }
+                held.photos.push_back((view, photo.clone()));
+                return Ok(photo);
+            }
+            if !held.in_work.contains(&view) {
+                break;
+            }
+            held = self.decoded.wait(held).unwrap_or_else(PoisonError::into_inner);
+        }
+        held.in_work.push(view);
+        drop(held);
+        let work = InWork { store: self, view };
+        let photo = Arc::new(view_of.load(self.long_side)?);
+        self.held().keep(view, &photo, self.most_bytes);
+        drop(work);
+        Ok(photo)
+    }
+
+    fn held(&self) -> MutexGuard<'_, HeldPhotos> {
+        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl HeldPhotos {
+    /// Takes a photo out.
+    fn take(&mut self, view: usize) -> Option<Arc<LoadedPhoto>> {
+        let at = self.photos.iter().position(|(other, _)| *other == view)?;
+        self.photos.remove(at).map(|(_, photo)| photo)
+    }
+
+    /// Adds a photo, and drops those that were not read for longest.
+    fn keep(&mut self, view: usize, photo: &Arc<LoadedPhoto>, most_bytes: usize) {
+        if most_bytes == 0 {
+            return;
+        }
+        self.bytes += photo.bytes();
+        self.photos.push_back((view, photo.clone()));
+        while self.bytes > most_bytes && self.photos.len() > 1 {
+            let (_, oldest) = self.photos.pop_front().expect("there are two");
+            self.bytes -= oldest.bytes();
+        }
+    }
+}
+
+/// A view that this thread decodes. When it ends, also by a panic, whoever waits goes on.
+struct InWork<'a> {
+    store: &'a PhotoStore,
+    view: usize,
+}
+
+impl Drop for InWork<'_> {
+    fn drop(&mut self) {
+        self.store.held().in_work.retain(|&view| view != self.view);
+        self.store.decoded.notify_all();
+    }
+}
