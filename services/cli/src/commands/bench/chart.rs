@@ -1,6 +1,6 @@
 //! `segwild bench chart`, and `segwild bench point`, which measures one of its points in a process of its own.
 
-use super::common::{light, light_of, parts, parts_of, providers, providers_of};
+use super::protocol_flags::{light, light_of, parts, parts_of, providers, providers_of};
 use super::{list, numbers};
 use crate::args::{examples, given, json, number, path, with_settings_in_long_help};
 use crate::commands::{path as path_of, print_json, print_line};
@@ -106,7 +106,7 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
     }
     let options = ChartOptions {
         program: std::env::current_exe()?,
-        command: super::common::command_line(),
+        command: super::protocol_flags::command_line(),
         only: list(matches, "only"),
         seeds: numbers(matches, "seeds")?,
         base: ChartBase { sources, providers, faults: OracleOptions::default(), settings: given(matches) },

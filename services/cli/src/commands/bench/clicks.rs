@@ -1,6 +1,6 @@
 //! `segwild bench clicks`
 
-use super::common::scenes_and_sizes;
+use super::protocol_flags::scenes_and_sizes;
 use super::numbers;
 use crate::args::{examples, flag, given, json, number, path, with_settings_in_long_help};
 use crate::commands::{path as path_of, print_json, print_line, use_threads};
@@ -45,7 +45,7 @@ pub fn clicks(matches: &ArgMatches) -> Result<(), Failure> {
         seed: *matches.get_one::<u64>("click-seed").expect("it has a default"),
         alternatives: matches.get_flag("alternatives"),
         out: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/clicks")),
-        command: super::common::command_line(),
+        command: super::protocol_flags::command_line(),
         settings,
     };
     let json = matches.get_flag("json");

@@ -72,7 +72,7 @@ pub fn engine(matches: &ArgMatches) -> Result<(), Failure> {
     let db: f32 = *matches.get_one("db").expect("it has a default");
     let dir = path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/engine"));
     let options = EngineOptions {
-        command: super::common::command_line(),
+        command: super::protocol_flags::command_line(),
         choice: matches
             .get_one::<String>("adapter")
             .cloned()

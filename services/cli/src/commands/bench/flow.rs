@@ -1,6 +1,6 @@
 //! `segwild bench flow`
 
-use super::common::cannot_write;
+use super::protocol_flags::cannot_write;
 use super::{list, numbers};
 use crate::args::{examples, json, number, path};
 use crate::commands::{path as path_of, print_json, print_line};
@@ -63,7 +63,7 @@ pub fn flow(matches: &ArgMatches) -> Result<(), Failure> {
     };
     let rows = segwild_bench::flow::flow(&options, report)?;
     if let Some(file) = path_of(matches, "page") {
-        let made = Provenance::here(super::common::command_line());
+        let made = Provenance::here(super::protocol_flags::command_line());
         segwild_flow::files::write_plain(&file, page(&measured(&options.dir), &made))
             .map_err(|e| cannot_write(&file, &e))?;
     }

@@ -1,6 +1,6 @@
 //! `segwild bench folder`
 
-use super::common::{finish, flags, measure_scenes, parts, parts_of, table, with_common, with_table};
+use super::protocol_flags::{finish, flags, measure_scenes, parts, parts_of, table, with_common, with_table};
 use super::list;
 use crate::args::{examples, number};
 use crate::commands::path as path_of;

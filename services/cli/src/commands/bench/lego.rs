@@ -1,6 +1,6 @@
 //! `segwild bench lego`
 
-use super::common::{default_setting, finish, flags, providers, providers_of, tell, with_common};
+use super::protocol_flags::{default_setting, finish, flags, providers, providers_of, tell, with_common};
 use super::synthetic::{scene, with_scene};
 use crate::args::examples;
 use crate::failure::Failure;

@@ -3,13 +3,13 @@
 
 mod chart;
 mod clicks;
-mod common;
 mod compare;
 mod engine;
 mod flow;
 mod folder;
 mod lego;
 mod photo_tourism;
+mod protocol_flags;
 mod reconstruction;
 mod scale;
 mod scribbles;

@@ -1,6 +1,6 @@
 //! `segwild bench photo-tourism`
 
-use super::common::{finish, flags, measure_scenes, table, with_common, with_table};
+use super::protocol_flags::{finish, flags, measure_scenes, table, with_common, with_table};
 use super::list;
 use crate::args::{examples, number};
 use crate::commands::path as path_of;

@@ -1,6 +1,6 @@
 //! `segwild bench reconstruction`
 
-use super::common::scenes_and_sizes;
+use super::protocol_flags::scenes_and_sizes;
 use super::numbers;
 use crate::args::{examples, given, json, path, with_settings_in_long_help};
 use crate::commands::{path as path_of, print_json, print_line, use_threads};
@@ -42,7 +42,7 @@ pub fn reconstruction(matches: &ArgMatches) -> Result<(), Failure> {
         sizes: numbers(matches, "sizes")?,
         seeds: numbers(matches, "seeds")?,
         out: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/reconstruction")),
-        command: super::common::command_line(),
+        command: super::protocol_flags::command_line(),
         settings,
     };
     let json = matches.get_flag("json");

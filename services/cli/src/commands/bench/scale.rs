@@ -39,7 +39,7 @@ pub fn scale(matches: &ArgMatches) -> Result<(), Failure> {
     let options = ScaleOptions {
         out: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/scale")),
         program: std::env::current_exe()?,
-        command: super::common::command_line(),
+        command: super::protocol_flags::command_line(),
         only: list(matches, "only"),
         kernel_splats: numbers(matches, "kernel-splats")?,
         kernel_pixels: numbers(matches, "kernel-pixels")?,

@@ -26,7 +26,7 @@ pub fn slice(matches: &ArgMatches) -> Result<(), Failure> {
     let changes = given(matches);
     use_threads(Settings::layered(None, &changes)?.run.threads);
     let folder = file.with_extension("runs");
-    let results = measure(&folder, &changes, super::common::command_line())?;
+    let results = measure(&folder, &changes, super::protocol_flags::command_line())?;
     let _ = std::fs::remove_dir_all(&folder);
     results.write(&file).map_err(|e| Failure { message: e.to_string(), code: exit::FOLDER })?;
     print_line(&format!("{} records: {}", results.records.len(), file.display()))

@@ -1,6 +1,6 @@
 //! `segwild bench stability`
 
-use super::common::{providers, providers_of};
+use super::protocol_flags::{providers, providers_of};
 use super::{list, numbers};
 use crate::args::{examples, given, json, number, path, with_settings_in_long_help};
 use crate::commands::{path as path_of, print_json, print_line, use_threads};
@@ -54,7 +54,7 @@ pub fn stability(matches: &ArgMatches) -> Result<(), Failure> {
     let photos = of("photos") as usize;
     let options = StabilityOptions {
         out: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/stability")),
-        command: super::common::command_line(),
+        command: super::protocol_flags::command_line(),
         only: list(matches, "only"),
         seeds: numbers(matches, "seeds")?,
         providers: providers_of(matches),

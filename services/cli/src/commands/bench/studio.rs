@@ -57,7 +57,7 @@ pub fn studio(matches: &ArgMatches) -> Result<(), Failure> {
     for run in &runs {
         rows += &StudioFigures::measure(run)?.row(run);
     }
-    let made = Provenance::here(super::common::command_line());
+    let made = Provenance::here(super::protocol_flags::command_line());
     let text = format!(
         "# What a person waits for on the page (built-in)\n\nThis page is generated. {}\n\nTimes are those of requests to a server in the same \
          process, over HTTP, without a browser: median, and in brackets the slowest. *Hover*: the candidate under the pointer, in photos that \

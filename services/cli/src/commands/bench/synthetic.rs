@@ -1,6 +1,6 @@
 //! `segwild bench synthetic`
 
-use super::common::{
+use super::protocol_flags::{
     finish, flags, light, light_of, providers, providers_of, table, tell, with_common, with_table,
 };
 use crate::args::{examples, number};

@@ -1,6 +1,6 @@
 //! `segwild bench tables`
 
-use super::common::cannot_write;
+use super::protocol_flags::cannot_write;
 use crate::args::{examples, path};
 use crate::commands::{path as path_of, print_line};
 use crate::failure::Failure;
