@@ -33,7 +33,7 @@ use crate::codec::{self, CodecError, Decode, Encode};
 use crate::fault;
 use crate::files::{self, FileError};
 use crate::key::Key;
-use crate::meter::lock;
+use crate::mutex::lock;
 
 pub use inventory::{Artefact, Swept};
 

@@ -25,8 +25,7 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 
 use crate::clock::now;
-use crate::meter::lock;
-use crate::progress::StageProgress;
+use crate::mutex::lock;
 
 /// How much a message matters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -360,11 +359,6 @@ impl Events {
     /// Sends a measured number.
     pub fn metric(&self, stage: &str, name: &str, value: f64, step: Option<u64>) {
         self.tell(Event::Metric { stage: Some(stage.into()), name: name.into(), value, step });
-    }
-
-    /// Starts to report the progress of a stage: rate and time left are computed from how it advances.
-    pub fn stage(&self, stage: &str, total: Option<u64>) -> StageProgress {
-        StageProgress::start(self.clone(), stage, total)
     }
 
     /// Listens to all events from now on.

@@ -27,6 +27,7 @@ pub mod ledger;
 pub mod mailbox;
 pub mod message;
 mod meter;
+mod mutex;
 mod park;
 pub mod process;
 pub mod progress;

@@ -38,6 +38,13 @@ pub struct StageProgress {
     marked: Instant,
 }
 
+impl Events {
+    /// Starts to report the progress of a stage: rate and time left are computed from how it advances.
+    pub fn stage(&self, stage: &str, total: Option<u64>) -> StageProgress {
+        StageProgress::start(self.clone(), stage, total)
+    }
+}
+
 impl StageProgress {
     pub(crate) fn start(events: Events, stage: &str, total: Option<u64>) -> Self {
         events.tell(Event::StageStarted { stage: stage.into(), total });

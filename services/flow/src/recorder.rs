@@ -30,7 +30,7 @@ use crate::events::{Event, Events, Sink};
 use crate::ledger::{Ledger, LiveActor, LiveMailbox, LiveMetric, LiveSample, LiveStage, LiveWorker};
 use crate::mailbox::{AnyMailbox, MailboxStats, Receiver};
 use crate::message::Message;
-use crate::meter::lock;
+use crate::mutex::lock;
 use crate::process;
 use crate::report::{ActorReport, Exit};
 use crate::system::Observer;

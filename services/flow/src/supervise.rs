@@ -12,7 +12,8 @@ use crate::events::Event;
 use crate::fault;
 use crate::mailbox::{AnyMailbox, Receiver, RecvError};
 use crate::message::Message;
-use crate::meter::{Pulse, WorkerState, lock};
+use crate::meter::{Pulse, WorkerState};
+use crate::mutex::lock;
 use crate::report::{ActorReport, Exit, WorkerStatus};
 
 /// How often an actor may be restarted.

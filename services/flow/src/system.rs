@@ -32,113 +32,31 @@
 //! ```
 
 mod guest;
+mod shared;
 mod shutdown;
 mod watch;
 
 pub use guest::Guest;
+pub use shared::{SpawnError, SystemOptions};
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant};
+use std::time::Instant;
+
+use shared::SystemShared;
 
 use crate::actor::{Actor, ActorFailure, Context};
 use crate::compute;
-use crate::control::{Control, Stopper};
-use crate::events::{Event, Events};
+use crate::control::Stopper;
+use crate::events::Event;
 use crate::mailbox::Receiver;
-use crate::meter::{self, Pulse, WorkerState, lock};
+use crate::meter::{self, Pulse, WorkerState};
+use crate::mutex::lock;
 use crate::report::{ActorReport, Exit, Report};
 use crate::supervise::{ActorCell, ActorOptions, panic_words, work};
 use crate::timeline::Timeline;
-
-/// How a system is run.
-#[derive(Clone)]
-pub struct SystemOptions {
-    /// Where events are sent.
-    pub events: Events,
-    /// Who stops it.
-    pub stopper: Stopper,
-    /// A worker without a sign of progress for so long is reported as stuck.
-    pub stuck_after: Duration,
-    /// A drain may take so long before everybody is stopped.
-    pub drain: Duration,
-    /// A stop may take so long before those who still run are left behind.
-    pub grace: Duration,
-    /// How often shutdown names who it waits for.
-    pub name_late_every: Duration,
-    /// Spans the timeline keeps.
-    pub timeline: usize,
-    /// Compute threads of each worker, for the kernels that it calls; 0 takes all cores.
-    pub threads: usize,
-}
-
-impl Default for SystemOptions {
-    /// Stuck after 60 s; 5 minutes to drain, 30 s to stop, names every 5 s; 50,000 spans; all cores.
-    fn default() -> Self {
-        Self {
-            events: Events::new(),
-            stopper: Stopper::new(),
-            stuck_after: Duration::from_secs(60),
-            drain: Duration::from_secs(300),
-            grace: Duration::from_secs(30),
-            name_late_every: Duration::from_secs(5),
-            timeline: 50_000,
-            threads: 0,
-        }
-    }
-}
-
-/// An actor could not be started.
-#[derive(Debug, thiserror::Error)]
-#[error("cannot start `{actor}`: {source}")]
-pub struct SpawnError {
-    /// For whom.
-    pub actor: String,
-    /// The operating system's error; interrupted when the system is stopping.
-    pub source: std::io::Error,
-}
-
-impl SpawnError {
-    /// Whether nothing is wrong but that the system was asked to stop before.
-    pub fn is_stopping(&self) -> bool {
-        self.source.kind() == std::io::ErrorKind::Interrupted
-    }
-}
-
-struct SystemShared {
-    options: SystemOptions,
-    began: Instant,
-    timeline: Timeline,
-    roster: Mutex<Roster>,
-    threads: Mutex<Vec<(Arc<ActorCell>, JoinHandle<()>)>>,
-    /// Nothing more will be spawned: the end of all actors is the end.
-    complete: AtomicBool,
-}
-
-#[derive(Default)]
-struct Roster {
-    cells: Vec<Arc<ActorCell>>,
-    /// Shutdown has started: nobody joins any more, or the newcomer would be forgotten.
-    sealed: bool,
-}
-
-impl SystemShared {
-    fn control(&self) -> &Control {
-        &self.options.stopper.0
-    }
-
-    fn cells(&self) -> Vec<Arc<ActorCell>> {
-        lock(&self.roster).cells.clone()
-    }
-
-    fn seal(&self) -> Vec<Arc<ActorCell>> {
-        let mut roster = lock(&self.roster);
-        roster.sealed = true;
-        roster.cells.clone()
-    }
-}
 
 /// Actors, their supervisor and their timeline. Dropped without [`System::join`], it stops them without waiting.
 pub struct System {
@@ -221,7 +139,7 @@ impl System {
             .map(|i| Arc::new(Pulse::new(name.clone(), i, self.shared.timeline.clone())))
             .collect();
         let cell = Arc::new(ActorCell::new(options, pulses.clone(), name.clone(), mailbox));
-        self.enrol(&cell)?;
+        self.shared.enrol(&cell)?;
         for (i, pulse) in pulses.into_iter().enumerate() {
             let context = Context {
                 pulse,

@@ -2,16 +2,10 @@
 //!
 //! The tables are additions to the format: a ledger from before them has none, and reads as a run nobody watched.
 
-use rusqlite::{Connection, OptionalExtension, params};
 use serde::{Deserialize, Serialize};
 
-use super::live_rows::{maybe_number, number, read_sample, write_sample};
-use super::{Commit, Ledger, LedgerError};
 use crate::cache::CacheCounters;
 use crate::meter::WorkerState;
-
-/// Samples of the past that are kept; beyond it every second one goes and they come half as often.
-pub const KEPT_SAMPLES: usize = 2000;
 
 /// A worker, as it was at the sample's time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -153,7 +147,7 @@ pub struct LiveSample {
 
 impl LiveSample {
     /// Units of work done over all stages.
-    fn done(&self) -> u64 {
+    pub(super) fn done(&self) -> u64 {
         self.stages.iter().map(|s| s.done).sum()
     }
 
@@ -203,148 +197,4 @@ pub struct ViewCounts {
     pub cached: u64,
     /// Failed for good.
     pub failed: u64,
-}
-
-fn has_tables(c: &Connection) -> rusqlite::Result<bool> {
-    c.query_row("SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'live')", [], |row| row.get(0))
-}
-
-impl Ledger {
-    /// Replaces what the run is doing now; with `past`, also adds a point to its past.
-    ///
-    /// # Errors
-    /// When the ledger cannot be written.
-    pub fn record_live(&self, sample: &LiveSample, past: bool) -> Result<(), LedgerError> {
-        self.write(Commit::Quick, |t| {
-            for table in ["live", "actors", "workers", "mailboxes", "progress", "metrics"] {
-                t.execute(&format!("DELETE FROM {table}"), [])?;
-            }
-            write_sample(t, sample)?;
-            if past {
-                let rate: f64 = sample.stages.iter().map(|s| s.rate).sum();
-                let depth: u64 = sample.mailboxes.iter().map(|m| m.depth).sum();
-                let pressure: f64 = sample.mailboxes.iter().map(|m| m.back_pressure_s).sum();
-                t.execute(
-                    "INSERT OR REPLACE INTO samples VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
-                    params![
-                        sample.time,
-                        sample.rss_bytes.map(|n| n as i64),
-                        sample.cpu_s,
-                        sample.done() as i64,
-                        rate,
-                        depth as i64,
-                        pressure
-                    ],
-                )?;
-            }
-            Ok(())
-        })
-    }
-
-    /// What the run is doing, or was doing when it was last watched; `None` if it never was.
-    ///
-    /// # Errors
-    /// When the ledger cannot be read.
-    pub fn live(&self) -> Result<Option<LiveSample>, LedgerError> {
-        self.read(|c| {
-            // One transaction: the tables are of one moment.
-            let t = c.unchecked_transaction()?;
-            if has_tables(&t)? { read_sample(&t) } else { Ok(None) }
-        })
-    }
-
-    /// The run's past, oldest first: the last `count` points.
-    ///
-    /// # Errors
-    /// When the ledger cannot be read.
-    pub fn past(&self, count: usize) -> Result<Vec<PastSample>, LedgerError> {
-        self.read(|c| {
-            if !has_tables(c)? {
-                return Ok(Vec::new());
-            }
-            c.prepare(
-                "SELECT time, rss_bytes, cpu_s, done, rate, depth, back_pressure_s FROM
-                   (SELECT * FROM samples ORDER BY time DESC LIMIT ?1) ORDER BY time",
-            )?
-            .query_map([i64::try_from(count).unwrap_or(i64::MAX)], |row| {
-                Ok(PastSample {
-                    time: row.get(0)?,
-                    rss_bytes: maybe_number(row, 1)?,
-                    cpu_s: row.get(2)?,
-                    done: number(row, 3)?,
-                    rate: row.get(4)?,
-                    depth: number(row, 5)?,
-                    back_pressure_s: row.get(6)?,
-                })
-            })?
-            .collect()
-        })
-    }
-
-    /// Keeps every second point of the past once there are more than [`KEPT_SAMPLES`]; returns whether it did.
-    ///
-    /// # Errors
-    /// When the ledger cannot be written.
-    pub fn thin_past(&self) -> Result<bool, LedgerError> {
-        let count: i64 = self.read(|c| c.query_row("SELECT count(*) FROM samples", [], |row| row.get(0)))?;
-        if count <= KEPT_SAMPLES as i64 {
-            return Ok(false);
-        }
-        self.write(Commit::Quick, |t| {
-            t.execute(
-                "DELETE FROM samples WHERE time IN (SELECT time FROM
-                   (SELECT time, row_number() OVER (ORDER BY time) AS place FROM samples) WHERE place % 2 = 0)",
-                [],
-            )?;
-            Ok(true)
-        })
-    }
-
-    /// What came of the views, stage by stage, by the stages' names.
-    ///
-    /// # Errors
-    /// When the ledger cannot be read.
-    pub fn view_counts(&self) -> Result<Vec<ViewCounts>, LedgerError> {
-        self.read(|c| {
-            c.prepare(
-                "SELECT stage, sum(state = 'done' AND seconds IS NOT NULL),
-                   sum(state = 'done' AND seconds IS NULL), sum(state = 'failed')
-                 FROM views GROUP BY stage ORDER BY stage",
-            )?
-            .query_map([], |row| {
-                Ok(ViewCounts {
-                    stage: row.get(0)?,
-                    made: number(row, 1)?,
-                    cached: number(row, 2)?,
-                    failed: number(row, 3)?,
-                })
-            })?
-            .collect()
-        })
-    }
-
-    /// How long the views of each stage took, as `(stage, seconds)`; those found in the cache are left out.
-    ///
-    /// # Errors
-    /// When the ledger cannot be read.
-    pub fn view_seconds(&self) -> Result<Vec<(String, f64)>, LedgerError> {
-        self.read(|c| {
-            c.prepare("SELECT stage, seconds FROM views WHERE seconds IS NOT NULL ORDER BY stage, view")?
-                .query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?
-                .collect()
-        })
-    }
-
-    /// When the last checkpoint was taken (seconds since 1970) and after which step.
-    ///
-    /// # Errors
-    /// When the ledger cannot be read.
-    pub fn last_checkpoint(&self) -> Result<Option<(f64, u64)>, LedgerError> {
-        self.read(|c| {
-            c.query_row("SELECT time, step FROM checkpoints ORDER BY time DESC LIMIT 1", [], |row| {
-                Ok((row.get(0)?, number(row, 1)?))
-            })
-            .optional()
-        })
-    }
 }

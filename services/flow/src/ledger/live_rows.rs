@@ -1,47 +1,16 @@
 //! The tables of the live view: how a sample is written and read.
 
-use rusqlite::{OptionalExtension, Row, Transaction, params};
+use rusqlite::{Connection, OptionalExtension, Row, Transaction, params};
 
-use super::live::{LiveActor, LiveMailbox, LiveMetric, LiveSample, LiveStage, LiveWorker};
+use super::live::{
+    LiveActor, LiveMailbox, LiveMetric, LiveSample, LiveStage, LiveWorker, PastSample, ViewCounts,
+};
+use super::{Commit, Ledger, LedgerError};
 use crate::cache::CacheCounters;
 use crate::meter::WorkerState;
 
-pub(super) const TABLES: &str = "
-CREATE TABLE IF NOT EXISTS live (
-  id INTEGER PRIMARY KEY CHECK (id = 1), time REAL NOT NULL, pid INTEGER NOT NULL, began REAL NOT NULL,
-  moved REAL NOT NULL, rss_bytes INTEGER, peak_rss_bytes INTEGER, threads INTEGER, cpu_s REAL,
-  cache_hits INTEGER NOT NULL, cache_misses INTEGER NOT NULL, cache_corrupt INTEGER NOT NULL,
-  cache_bytes_read INTEGER NOT NULL, cache_bytes_written INTEGER NOT NULL
-);
-CREATE TABLE IF NOT EXISTS actors (
-  name TEXT PRIMARY KEY, place INTEGER NOT NULL, exit TEXT NOT NULL, error TEXT, messages INTEGER NOT NULL,
-  retries INTEGER NOT NULL, restarts INTEGER NOT NULL, quarantined INTEGER NOT NULL, last_error TEXT,
-  starting_s REAL NOT NULL, busy_s REAL NOT NULL, waiting_s REAL NOT NULL, blocked_s REAL NOT NULL,
-  back_off_s REAL NOT NULL, cpu_s REAL NOT NULL
-);
-CREATE TABLE IF NOT EXISTS workers (
-  actor TEXT NOT NULL, worker INTEGER NOT NULL, state TEXT NOT NULL, item TEXT NOT NULL, since REAL NOT NULL,
-  stuck INTEGER NOT NULL, PRIMARY KEY (actor, worker)
-) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS mailboxes (
-  name TEXT PRIMARY KEY, place INTEGER NOT NULL, depth INTEGER NOT NULL, bytes INTEGER NOT NULL,
-  capacity INTEGER NOT NULL, capacity_bytes INTEGER NOT NULL, high_water INTEGER NOT NULL,
-  high_water_bytes INTEGER NOT NULL, sent INTEGER NOT NULL, received INTEGER NOT NULL,
-  held_back INTEGER NOT NULL, waiting_senders INTEGER NOT NULL, back_pressure_s REAL NOT NULL,
-  closed INTEGER NOT NULL
-);
-CREATE TABLE IF NOT EXISTS progress (
-  stage TEXT PRIMARY KEY, place INTEGER NOT NULL, done INTEGER NOT NULL, total INTEGER, rate REAL NOT NULL,
-  eta_s REAL
-);
-CREATE TABLE IF NOT EXISTS metrics (
-  stage TEXT NOT NULL, name TEXT NOT NULL, value REAL NOT NULL, step INTEGER, PRIMARY KEY (stage, name)
-) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS samples (
-  time REAL PRIMARY KEY, rss_bytes INTEGER, cpu_s REAL, done INTEGER NOT NULL, rate REAL NOT NULL,
-  depth INTEGER NOT NULL, back_pressure_s REAL NOT NULL
-) WITHOUT ROWID;
-";
+/// Samples of the past that are kept; beyond it every second one goes and they come half as often.
+pub const KEPT_SAMPLES: usize = 2000;
 
 fn state_word(state: WorkerState) -> &'static str {
     match state {
@@ -60,15 +29,15 @@ fn state_of(word: &str) -> WorkerState {
     [Starting, Waiting, Busy, Blocked, BackOff].into_iter().find(|s| state_word(*s) == word).unwrap_or(Ended)
 }
 
-pub(super) fn number(row: &Row<'_>, column: usize) -> rusqlite::Result<u64> {
+fn number(row: &Row<'_>, column: usize) -> rusqlite::Result<u64> {
     Ok(row.get::<_, i64>(column)?.max(0) as u64)
 }
 
-pub(super) fn maybe_number(row: &Row<'_>, column: usize) -> rusqlite::Result<Option<u64>> {
+fn maybe_number(row: &Row<'_>, column: usize) -> rusqlite::Result<Option<u64>> {
     Ok(row.get::<_, Option<i64>>(column)?.map(|n| n.max(0) as u64))
 }
 
-pub(super) fn write_sample(t: &Transaction<'_>, sample: &LiveSample) -> rusqlite::Result<()> {
+fn write_sample(t: &Transaction<'_>, sample: &LiveSample) -> rusqlite::Result<()> {
     let c = &sample.cache;
     t.execute(
         "INSERT INTO live VALUES (1, ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13)",
@@ -158,7 +127,7 @@ pub(super) fn write_sample(t: &Transaction<'_>, sample: &LiveSample) -> rusqlite
     Ok(())
 }
 
-pub(super) fn read_sample(t: &Transaction<'_>) -> rusqlite::Result<Option<LiveSample>> {
+fn read_sample(t: &Transaction<'_>) -> rusqlite::Result<Option<LiveSample>> {
     let sample = t
         .query_row("SELECT * FROM live WHERE id = 1", [], |row| {
             Ok(LiveSample {
@@ -268,4 +237,148 @@ pub(super) fn read_sample(t: &Transaction<'_>) -> rusqlite::Result<Option<LiveSa
         })?
         .collect::<rusqlite::Result<_>>()?;
     Ok(Some(sample))
+}
+
+fn has_tables(c: &Connection) -> rusqlite::Result<bool> {
+    c.query_row("SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'live')", [], |row| row.get(0))
+}
+
+impl Ledger {
+    /// Replaces what the run is doing now; with `past`, also adds a point to its past.
+    ///
+    /// # Errors
+    /// When the ledger cannot be written.
+    pub fn record_live(&self, sample: &LiveSample, past: bool) -> Result<(), LedgerError> {
+        self.write(Commit::Quick, |t| {
+            for table in ["live", "actors", "workers", "mailboxes", "progress", "metrics"] {
+                t.execute(&format!("DELETE FROM {table}"), [])?;
+            }
+            write_sample(t, sample)?;
+            if past {
+                let rate: f64 = sample.stages.iter().map(|s| s.rate).sum();
+                let depth: u64 = sample.mailboxes.iter().map(|m| m.depth).sum();
+                let pressure: f64 = sample.mailboxes.iter().map(|m| m.back_pressure_s).sum();
+                t.execute(
+                    "INSERT OR REPLACE INTO samples VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+                    params![
+                        sample.time,
+                        sample.rss_bytes.map(|n| n as i64),
+                        sample.cpu_s,
+                        sample.done() as i64,
+                        rate,
+                        depth as i64,
+                        pressure
+                    ],
+                )?;
+            }
+            Ok(())
+        })
+    }
+
+    /// What the run is doing, or was doing when it was last watched; `None` if it never was.
+    ///
+    /// # Errors
+    /// When the ledger cannot be read.
+    pub fn live(&self) -> Result<Option<LiveSample>, LedgerError> {
+        self.read(|c| {
+            // One transaction: the tables are of one moment.
+            let t = c.unchecked_transaction()?;
+            if has_tables(&t)? { read_sample(&t) } else { Ok(None) }
+        })
+    }
+
+    /// The run's past, oldest first: the last `count` points.
+    ///
+    /// # Errors
+    /// When the ledger cannot be read.
+    pub fn past(&self, count: usize) -> Result<Vec<PastSample>, LedgerError> {
+        self.read(|c| {
+            if !has_tables(c)? {
+                return Ok(Vec::new());
+            }
+            c.prepare(
+                "SELECT time, rss_bytes, cpu_s, done, rate, depth, back_pressure_s FROM
+                   (SELECT * FROM samples ORDER BY time DESC LIMIT ?1) ORDER BY time",
+            )?
+            .query_map([i64::try_from(count).unwrap_or(i64::MAX)], |row| {
+                Ok(PastSample {
+                    time: row.get(0)?,
+                    rss_bytes: maybe_number(row, 1)?,
+                    cpu_s: row.get(2)?,
+                    done: number(row, 3)?,
+                    rate: row.get(4)?,
+                    depth: number(row, 5)?,
+                    back_pressure_s: row.get(6)?,
+                })
+            })?
+            .collect()
+        })
+    }
+
+    /// Keeps every second point of the past once there are more than [`KEPT_SAMPLES`]; returns whether it did.
+    ///
+    /// # Errors
+    /// When the ledger cannot be written.
+    pub fn thin_past(&self) -> Result<bool, LedgerError> {
+        let count: i64 = self.read(|c| c.query_row("SELECT count(*) FROM samples", [], |row| row.get(0)))?;
+        if count <= KEPT_SAMPLES as i64 {
+            return Ok(false);
+        }
+        self.write(Commit::Quick, |t| {
+            t.execute(
+                "DELETE FROM samples WHERE time IN (SELECT time FROM
+                   (SELECT time, row_number() OVER (ORDER BY time) AS place FROM samples) WHERE place % 2 = 0)",
+                [],
+            )?;
+            Ok(true)
+        })
+    }
+
+    /// What came of the views, stage by stage, by the stages' names.
+    ///
+    /// # Errors
+    /// When the ledger cannot be read.
+    pub fn view_counts(&self) -> Result<Vec<ViewCounts>, LedgerError> {
+        self.read(|c| {
+            c.prepare(
+                "SELECT stage, sum(state = 'done' AND seconds IS NOT NULL),
+                   sum(state = 'done' AND seconds IS NULL), sum(state = 'failed')
+                 FROM views GROUP BY stage ORDER BY stage",
+            )?
+            .query_map([], |row| {
+                Ok(ViewCounts {
+                    stage: row.get(0)?,
+                    made: number(row, 1)?,
+                    cached: number(row, 2)?,
+                    failed: number(row, 3)?,
+                })
+            })?
+            .collect()
+        })
+    }
+
+    /// How long the views of each stage took, as `(stage, seconds)`; those found in the cache are left out.
+    ///
+    /// # Errors
+    /// When the ledger cannot be read.
+    pub fn view_seconds(&self) -> Result<Vec<(String, f64)>, LedgerError> {
+        self.read(|c| {
+            c.prepare("SELECT stage, seconds FROM views WHERE seconds IS NOT NULL ORDER BY stage, view")?
+                .query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?
+                .collect()
+        })
+    }
+
+    /// When the last checkpoint was taken (seconds since 1970) and after which step.
+    ///
+    /// # Errors
+    /// When the ledger cannot be read.
+    pub fn last_checkpoint(&self) -> Result<Option<(f64, u64)>, LedgerError> {
+        self.read(|c| {
+            c.query_row("SELECT time, step FROM checkpoints ORDER BY time DESC LIMIT 1", [], |row| {
+                Ok((row.get(0)?, number(row, 1)?))
+            })
+            .optional()
+        })
+    }
 }

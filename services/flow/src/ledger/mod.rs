@@ -31,6 +31,7 @@ mod error;
 mod live;
 mod live_rows;
 mod lock;
+mod open;
 mod rows;
 mod schema;
 
@@ -38,7 +39,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use rusqlite::{Connection, OpenFlags, Transaction, params};
+use rusqlite::{Connection, Transaction, params};
 
 pub use error::LedgerError;
 pub use live::{
@@ -53,7 +54,7 @@ use crate::events::{EventLevel, EventRecord};
 use crate::fault;
 use crate::files::FileError;
 use crate::key::Key;
-use crate::meter::lock as hold;
+use crate::mutex::lock as hold;
 
 struct Inner {
     path: PathBuf,
@@ -95,7 +96,7 @@ impl Ledger {
         let error = |e| LedgerError::sqlite(&path, e);
         let mut connection = Connection::open(&path).map_err(error)?;
         connection.busy_timeout(Duration::from_secs(10)).map_err(error)?;
-        schema::prepare(&mut connection, &path)?;
+        open::prepare(&mut connection, &path)?;
         let ledger =
             Self { inner: Arc::new(Inner { path, connection: Mutex::new(connection), _lock: Some(lock) }) };
         ledger.recover()?;
@@ -111,8 +112,8 @@ impl Ledger {
         if !path.is_file() {
             return Err(LedgerError::Missing { path });
         }
-        let connection = schema::open_for_reading(&path)?;
-        schema::check(&connection, &path)?;
+        let connection = open::open_for_reading(&path)?;
+        open::check(&connection, &path)?;
         Ok(Self { inner: Arc::new(Inner { path, connection: Mutex::new(connection), _lock: None }) })
     }
 
@@ -440,7 +441,3 @@ impl Ledger {
         })
     }
 }
-
-// Opening for reading without a lock is what a status command does; writing through such a handle is refused.
-const READ_FLAGS: OpenFlags =
-    OpenFlags::SQLITE_OPEN_READ_ONLY.union(OpenFlags::SQLITE_OPEN_NO_MUTEX).union(OpenFlags::SQLITE_OPEN_URI);

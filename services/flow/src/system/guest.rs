@@ -4,9 +4,10 @@ use std::marker::PhantomData;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use super::{SpawnError, System};
+use super::System;
+use super::shared::SpawnError;
 use crate::control::Stopper;
-use crate::meter::{self, Pulse, WorkerState, lock};
+use crate::meter::{self, Pulse, WorkerState};
 use crate::report::Exit;
 use crate::supervise::{ActorCell, ActorOptions};
 
@@ -46,21 +47,9 @@ impl System {
         let pulse = Arc::new(pulse);
         let options = ActorOptions { vital: false, ..ActorOptions::default() };
         let cell = Arc::new(ActorCell::new(options, vec![pulse.clone()], name, None));
-        self.enrol(&cell)?;
+        self.shared.enrol(&cell)?;
         meter::adopt(Some(pulse.clone()));
         Ok(Guest { cell, pulse, stopper: self.stopper(), _here: PhantomData })
-    }
-
-    /// Adds an actor to the roster, if it is not sealed.
-    pub(super) fn enrol(&self, cell: &Arc<ActorCell>) -> Result<(), SpawnError> {
-        let mut roster = lock(&self.shared.roster);
-        if roster.sealed {
-            let words = "the system is stopping";
-            let source = std::io::Error::new(std::io::ErrorKind::Interrupted, words);
-            return Err(SpawnError { actor: cell.name.to_string(), source });
-        }
-        roster.cells.push(cell.clone());
-        Ok(())
     }
 }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use super::SystemShared;
+use super::shared::SystemShared;
 use super::watch::Watch;
 use crate::control::Phase;
 use crate::events::Event;

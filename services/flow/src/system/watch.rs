@@ -3,7 +3,7 @@
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-use super::SystemShared;
+use super::shared::SystemShared;
 use crate::events::Event;
 use crate::meter::WorkerState;
 
