@@ -10,6 +10,7 @@
 //! origin and the scene extent is 1, so nothing depends on the units of the reconstruction.
 
 mod alpha;
+mod bytes;
 mod camera;
 pub mod colmap;
 mod colourless;
@@ -32,6 +33,7 @@ mod open;
 mod orientation;
 mod photo;
 mod photo_store;
+mod photo_files;
 pub mod ply;
 mod prompt;
 mod random;

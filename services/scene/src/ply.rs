@@ -8,6 +8,7 @@ mod before;
 mod export;
 mod header;
 mod points;
+mod values;
 
 pub use export::Export;
 pub(crate) use points::{Coloured, read_points};
@@ -29,7 +30,7 @@ pub fn read(path: &Path) -> Result<Splats, SceneError> {
     if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("splat")) {
         return read_splat(path);
     }
-    let bytes = crate::decode::read_bytes(path).map_err(SceneError::io(path))?;
+    let bytes = crate::bytes::read_bytes(path).map_err(SceneError::io(path))?;
     let table = VertexTable::parse(path, &bytes)?;
     let column = |name: &str| {
         table.column(name).ok_or_else(|| {
@@ -72,7 +73,7 @@ pub fn read(path: &Path) -> Result<Splats, SceneError> {
 
 /// Reads one more property per splat as bytes, such as a label; `None` when the file has no such property.
 pub fn read_extra(path: &Path, name: &str) -> Result<Option<Vec<u8>>, SceneError> {
-    let bytes = crate::decode::read_bytes(path).map_err(SceneError::io(path))?;
+    let bytes = crate::bytes::read_bytes(path).map_err(SceneError::io(path))?;
     let table = VertexTable::parse(path, &bytes)?;
     Ok(table.column(name).map(|c| (0..table.len()).map(|row| table.value(row, c) as u8).collect()))
 }
@@ -143,7 +144,7 @@ fn to_bytes(splats: &Splats, extra: &[(&str, &[u8])], comments: &[String]) -> Ve
 /// opacity and rotation (w, x, y, z) as bytes.
 pub fn read_splat(path: &Path) -> Result<Splats, SceneError> {
     const RECORD: usize = 32;
-    let bytes = crate::decode::read_bytes(path).map_err(SceneError::io(path))?;
+    let bytes = crate::bytes::read_bytes(path).map_err(SceneError::io(path))?;
     let (n, over) = (bytes.len() / RECORD, bytes.len() % RECORD);
     if over != 0 {
         return Err(SceneError::Truncated {

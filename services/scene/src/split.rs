@@ -9,7 +9,8 @@
 //! - RobustNeRF's names: `clutter` trains, `extra` tests.
 
 use crate::names::{below, key, last_part, stem};
-use crate::{SceneError, SceneSettings, text, transforms};
+use crate::transforms::json::frame_names;
+use crate::{SceneError, SceneSettings, text};
 use serde_json::Value;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -427,7 +428,7 @@ fn read_json(path: &Path, photos: &[&str]) -> Result<Split, SceneError> {
 /// The photos that numbers in a split.json stand for: the names of the frames of the transforms.json beside it, or of the photos of the
 /// reconstruction, by their last parts in order. A last part that several have stands for none of them alone: those keep their folders.
 fn numbered(split: &Path, photos: &[&str]) -> Vec<String> {
-    let beside = transforms::frame_names(&split.with_file_name("transforms.json"));
+    let beside = frame_names(&split.with_file_name("transforms.json"));
     let names = beside.unwrap_or_else(|| photos.iter().map(|name| (*name).to_owned()).collect());
     let mut names: Vec<(&str, &str)> = names.iter().map(|name| (last_part(name), name.as_str())).collect();
     names.sort_unstable();

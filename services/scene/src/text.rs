@@ -1,6 +1,7 @@
 //! Text files as other programs and editors write them: byte order marks, UTF-16, Latin-1.
 
 use crate::SceneError;
+use crate::bytes::read_bytes;
 use std::path::Path;
 
 /// Reads a text file; see [`decode`] for what counts as text.
@@ -8,7 +9,7 @@ use std::path::Path;
 /// # Errors
 /// The system refuses the file, or it is UTF-16.
 pub fn read(path: &Path) -> Result<String, SceneError> {
-    let bytes = crate::decode::read_bytes(path).map_err(SceneError::io(path))?;
+    let bytes = read_bytes(path).map_err(SceneError::io(path))?;
     decode(bytes).map_err(|reason| SceneError::invalid(path, "text", reason))
 }
 

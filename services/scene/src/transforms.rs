@@ -3,16 +3,18 @@
 //! Poses are camera to world with the camera's y up and z backwards (OpenGL); intrinsics are given for all frames, per
 //! frame, or as Blender's `camera_angle_x`.
 
+pub(crate) mod json;
+
 use crate::decode::{ImageHead, converted};
 use crate::draft::{Draft, DraftPhoto, DraftPose, finite};
 use crate::lens::{CameraModel, Lens};
-use crate::locate::{Claim, Claimed, settle};
 use crate::names::{CAPITALS, Listing, READ, below, is_inside, is_photo, key, last_part, tidy};
+use crate::photo_files::{Claim, Claimed, no_file, photo_folders, settle};
 use crate::split::{Split, SplitPart};
-use crate::{SceneError, draft, locate, text};
+use crate::{SceneError, draft, text};
 use glam::{DMat3, DVec3};
+use json::{Intrinsics, Transforms, TransformsFrame};
 use rayon::prelude::*;
-use serde::Deserialize;
 use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
 use std::sync::OnceLock;
@@ -22,61 +24,6 @@ const USUAL: [&str; 6] = ["png", "jpg", "jpeg", "JPG", "PNG", "JPEG"];
 
 fn endings() -> impl Iterator<Item = &'static str> {
     USUAL.into_iter().chain(READ).chain(CAPITALS)
-}
-
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(default)]
-struct Intrinsics {
-    camera_model: Option<String>,
-    camera_angle_x: Option<f64>,
-    camera_angle_y: Option<f64>,
-    fl_x: Option<f64>,
-    fl_y: Option<f64>,
-    cx: Option<f64>,
-    cy: Option<f64>,
-    w: Option<f64>,
-    h: Option<f64>,
-    k1: Option<f64>,
-    k2: Option<f64>,
-    k3: Option<f64>,
-    k4: Option<f64>,
-    k5: Option<f64>,
-    k6: Option<f64>,
-    p1: Option<f64>,
-    p2: Option<f64>,
-    /// nerfstudio's other form of the same: k1, k2, k3, k4, p1, p2.
-    distortion_params: Option<Vec<f64>>,
-    /// instant-ngp's words for a fisheye and for what is no lens.
-    is_fisheye: Option<bool>,
-    #[serde(alias = "latlong", alias = "is_equirectangular")]
-    equirectangular: Option<bool>,
-    #[serde(alias = "is_orthographic")]
-    orthographic: Option<bool>,
-    /// Its polynomial of the angle (f-theta).
-    ftheta_p0: Option<f64>,
-}
-
-#[derive(Debug, Deserialize)]
-struct TransformsFrame {
-    file_path: String,
-    /// Mask of the pixels to use: black is ignored.
-    mask_path: Option<String>,
-    #[serde(default)]
-    transform_matrix: Vec<Vec<Option<f64>>>,
-    #[serde(flatten)]
-    intrinsics: Intrinsics,
-}
-
-#[derive(Debug, Deserialize)]
-struct Transforms {
-    frames: Vec<TransformsFrame>,
-    #[serde(default)]
-    ply_file_path: Option<String>,
-    train_filenames: Option<Vec<String>>,
-    val_filenames: Option<Vec<String>>,
-    test_filenames: Option<Vec<String>>,
-    #[serde(flatten)]
-    intrinsics: Intrinsics,
 }
 
 /// A file of cameras, and the part of its photos where its name gives one.
@@ -99,12 +46,6 @@ pub(crate) fn find(folder: &Path) -> Option<PathBuf> {
     names.map(|name| below(folder, name)).find(|path| path.is_file())
 }
 
-/// The names of the photos that a transforms.json lists; `None` where there is none that can be read.
-pub(crate) fn frame_names(path: &Path) -> Option<Vec<String>> {
-    let sheet = parse(path, None).ok()?;
-    Some(sheet.transforms.frames.into_iter().map(|frame| frame.file_path).collect())
-}
-
 /// The draft of a `transforms.json`, or of Blender's three files if it is one of them and `all` of the folder is meant; `images` is
 /// the folder to look in instead of the one the file names.
 pub(crate) fn read(path: &Path, images: Option<&Path>, all: bool) -> Result<Draft, SceneError> {
@@ -114,14 +55,14 @@ pub(crate) fn read(path: &Path, images: Option<&Path>, all: bool) -> Result<Draf
     let beside: Vec<(PathBuf, SplitPart)> = beside.collect();
     let mut notes = Vec::new();
     let sheets: Vec<CamerasFile> = if all && beside.iter().any(|(p, _)| p == path) {
-        beside.iter().map(|(path, part)| parse(path, Some(*part))).collect::<Result<_, _>>()?
+        beside.iter().map(|(path, part)| cameras_file(path, Some(*part))).collect::<Result<_, _>>()?
     } else {
         let others: Vec<String> =
             beside.iter().filter(|(p, _)| p != path).map(|(p, _)| p.display().to_string()).collect();
         if !others.is_empty() {
             notes.push(format!("{} is read, and not {} beside it", path.display(), others.join(", ")));
         }
-        vec![parse(path, None)?]
+        vec![cameras_file(path, None)?]
     };
     let files = PhotoFinder::new(folder, images);
     let listed: Vec<PathBuf> = sheets
@@ -172,14 +113,8 @@ fn sources(path: &Path, sheets: &[CamerasFile]) -> PathBuf {
     path.with_file_name(files.collect::<Vec<_>>().join(" + "))
 }
 
-fn parse(path: &Path, part: Option<SplitPart>) -> Result<CamerasFile, SceneError> {
-    // Python writes NaN and Infinity, which are no JSON: they become null, that is, missing.
-    let text = text::read(path)?;
-    let text = without_nan(&text);
-    let transforms: Transforms = serde_json::from_str(&text).map_err(|e| {
-        SceneError::invalid(path, format!("line {} column {}", e.line(), e.column()), e.to_string())
-    })?;
-    Ok(CamerasFile { path: path.to_owned(), part, transforms })
+fn cameras_file(path: &Path, part: Option<SplitPart>) -> Result<CamerasFile, SceneError> {
+    Ok(CamerasFile { path: path.to_owned(), part, transforms: Transforms::read(path)? })
 }
 
 /// The split that the files themselves give.
@@ -219,7 +154,7 @@ struct PhotoFinder<'a> {
 impl<'a> PhotoFinder<'a> {
     fn new(folder: &'a Path, images: Option<&Path>) -> PhotoFinder<'a> {
         let photos = images.unwrap_or(folder).to_owned();
-        let folders = locate::photo_folders(folder).into_iter();
+        let folders = photo_folders(folder).into_iter();
         let below = folders.filter(|dir| images.is_none() && *dir != folder && dir.is_dir());
         let below = below.map(|dir| (dir, OnceLock::new())).collect();
         PhotoFinder { folder, photos, listing: OnceLock::new(), below }
@@ -258,7 +193,7 @@ impl<'a> PhotoFinder<'a> {
             ));
         }
         let candidate = self.listing.get().and_then(|listing| listing.candidate(listed));
-        Err(locate::no_file(&self.photos, listed, candidate))
+        Err(no_file(&self.photos, listed, candidate))
     }
 
     /// The name of a photo: that of the file that was found, if one was.
@@ -300,28 +235,6 @@ fn inside(folder: &Path, name: &str) -> Option<PathBuf> {
         }
     }
     path.starts_with(folder).then_some(path)
-}
-
-/// Replaces the bare words NaN and Infinity, which Python's json writes, outside strings.
-fn without_nan(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    let mut in_string = false;
-    let mut escaped = false;
-    let mut rest = text;
-    while let Some(c) = rest.chars().next() {
-        if !in_string
-            && let Some(word) = ["NaN", "-Infinity", "Infinity"].iter().find(|w| rest.starts_with(**w))
-        {
-            out += "null";
-            rest = &rest[word.len()..];
-            continue;
-        }
-        in_string ^= c == '"' && !escaped;
-        escaped = in_string && c == '\\' && !escaped;
-        out.push(c);
-        rest = &rest[c.len_utf8()..];
-    }
-    out
 }
 
 /// A listed path with `/` between its parts; the root of an absolute one is kept, so that it is a folder like the others.

@@ -1,6 +1,6 @@
 //! COLMAP's `.bin` files: little endian, a count of records and then the records.
 
-use super::{CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction};
+use super::records::{CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction};
 use crate::SceneError;
 use crate::lens::CameraModel;
 use segwild_files::write_atomic;
@@ -107,7 +107,7 @@ fn records<T>(
     mut read: impl FnMut(&mut Cursor<'_>) -> Result<T, SceneError>,
 ) -> Result<Vec<T>, SceneError> {
     let path = dir.join(name);
-    let bytes = crate::decode::read_bytes(&path).map_err(SceneError::io(&path))?;
+    let bytes = crate::bytes::read_bytes(&path).map_err(SceneError::io(&path))?;
     let mut cursor = Cursor::new(&path, &bytes);
     let count = cursor.u64()?;
     let mut all = Vec::new();

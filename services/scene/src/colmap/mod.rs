@@ -5,86 +5,19 @@
 
 mod binary;
 mod models;
+mod records;
 mod text;
 
 pub use crate::lens::CameraModel;
 pub use binary::write;
 pub use models::MODEL_FOLDERS;
 pub(crate) use models::{find, numbered_photos};
+pub use records::{CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction};
 pub use text::write_text;
 
 use crate::SceneError;
 use std::collections::HashMap;
 use std::path::Path;
-
-/// One line of `cameras`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CameraRecord {
-    /// What images refer to.
-    pub id: u32,
-    /// The camera model.
-    pub model: CameraModel,
-    /// Width of the photos in pixels.
-    pub width: u64,
-    /// Height of the photos in pixels.
-    pub height: u64,
-    /// The model's parameters, in COLMAP's order.
-    pub params: Vec<f64>,
-}
-
-/// One detected feature of an image.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Keypoint {
-    /// Position in pixels of the photo as taken.
-    pub pixel: [f64; 2],
-    /// The 3D point it belongs to, if any.
-    pub point: Option<u64>,
-}
-
-/// One photo of `images`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ImageRecord {
-    /// What tracks refer to.
-    pub id: u32,
-    /// World-to-camera rotation, quaternion (w, x, y, z).
-    pub rotation: [f64; 4],
-    /// World-to-camera translation.
-    pub translation: [f64; 3],
-    /// Its camera.
-    pub camera_id: u32,
-    /// File name relative to the photo folder.
-    pub name: String,
-    /// Its features.
-    pub keypoints: Vec<Keypoint>,
-}
-
-/// One point of `points3D`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PointRecord {
-    /// What keypoints refer to.
-    pub id: u64,
-    /// Position.
-    pub position: [f64; 3],
-    /// sRGB.
-    pub colour: [u8; 3],
-    /// Mean reprojection error in pixels.
-    pub error: f64,
-    /// Who saw it: image id and index of the keypoint in that image.
-    pub track: Vec<(u32, u32)>,
-}
-
-/// A whole reconstruction.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Reconstruction {
-    /// The cameras.
-    pub cameras: Vec<CameraRecord>,
-    /// Numbers of cameras whose model is not known here, and its name; their photos cannot be used.
-    pub unknown_cameras: Vec<(u32, String)>,
-    /// The photos.
-    pub images: Vec<ImageRecord>,
-    /// The points.
-    pub points: Vec<PointRecord>,
-}
 
 /// Reads a reconstruction from the folder that holds its files; `.bin` is preferred to `.txt`.
 /// The points are read in the other form where they are there in that alone; a folder without `points3D` gives no points.

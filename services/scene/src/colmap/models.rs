@@ -119,7 +119,7 @@ fn photos(dir: &Path) -> Option<u64> {
     if !has(dir, "txt") {
         return None;
     }
-    let text = crate::decode::read_bytes(&dir.join("images.txt")).unwrap_or_default();
+    let text = crate::bytes::read_bytes(&dir.join("images.txt")).unwrap_or_default();
     let lines = text
         .split(|&b| b == b'\n')
         .filter(|line| !line.starts_with(b"#") && !line.starts_with(b"\xef\xbb\xbf#"));

@@ -1,6 +1,6 @@
 //! COLMAP's `.txt` files: a line per record, two per image; `#` starts a comment.
 
-use super::{CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction};
+use super::records::{CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction};
 use crate::SceneError;
 use crate::lens::CameraModel;
 use crate::text;

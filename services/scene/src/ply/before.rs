@@ -1,6 +1,6 @@
 //! Elements before the vertices of a `.ply`: skipped, whatever they hold.
 
-use super::header::{Format, Type};
+use super::values::{Format, Type};
 
 /// An element before the vertices.
 pub(super) struct Element {

@@ -29,7 +29,7 @@ const COLOURS: [[&str; 3]; 6] = [
 /// Colours are bytes, 16-bit numbers or fractions, of any type: the largest value in the file tells which. Files of splats have
 /// the constant harmonic instead.
 pub(crate) fn read_points(path: &Path) -> Result<Vec<Coloured>, SceneError> {
-    let bytes = crate::decode::read_bytes(path).map_err(SceneError::io(path))?;
+    let bytes = crate::bytes::read_bytes(path).map_err(SceneError::io(path))?;
     let table = VertexTable::parse(path, &bytes)?;
     let find = |names: [&str; 3]| match names.map(|n| table.column(n)) {
         [Some(a), Some(b), Some(c)] => Some([a, b, c]),

@@ -6,6 +6,7 @@
 //! say: they fill with grey.
 
 mod bits;
+mod block;
 mod head;
 mod progressive;
 mod scan;
@@ -15,8 +16,8 @@ mod tests;
 pub(crate) use head::{Coding, JpegFrame, JpegHead, read};
 pub(crate) use scan::ScanResult;
 
+use block::{BlockSink, CoefficientBlock};
 use image::{DynamicImage, GrayImage, RgbImage};
-use scan::{BlockSink, CoefficientBlock};
 
 /// Looks for damage; `None` where the JPEG is coded in a way that is not known here.
 pub(crate) fn check(bytes: &[u8], frame: &JpegFrame) -> Option<ScanResult> {

@@ -1,8 +1,8 @@
 //! The coefficients of a progressive JPEG, of which only those are kept that a smaller image needs.
 
 use super::bits::{BitReader, HuffmanTable, ScanFault};
+use super::block::{BlockSink, CoefficientBlock, ZIGZAG};
 use super::head::JpegFrame;
-use super::scan::{BlockSink, CoefficientBlock, ZIGZAG};
 use std::ops::Range;
 
 /// Those of one component.
