@@ -1,8 +1,10 @@
 //! A view and its photo, as stereo needs them.
 
-use crate::plane::REACH;
 use glam::Vec2;
 use segwild_scene::{Camera, Image, Mask, Pose, Scene};
+
+/// Farthest sample of a patch from its middle, along an axis.
+pub(crate) const REACH: usize = 2;
 
 /// A photo at the size it is compared at.
 pub struct StereoImage {

@@ -1,6 +1,6 @@
 //! Planes before a photo, and how alike two photos are on them.
 
-use crate::frame::Grey;
+use crate::frame::{Grey, REACH};
 use glam::{Mat3, Vec3, Vec4};
 use segwild_scene::{Camera, Pose};
 
@@ -14,8 +14,6 @@ const OFFSETS: [(Vec4, Vec4); 3] = [
 const COUNT: f32 = 12.0;
 /// Longest side of an image, in pixels: the number of its last pixel is exact in an `f32`.
 pub(crate) const LARGEST: usize = 4096;
-/// Farthest sample from the middle, along an axis.
-pub(crate) const REACH: usize = 2;
 /// How far a patch may reach in another photo, in pixels.
 const FARTHEST: f32 = 16.0;
 /// Least deviation of a patch: below it there is nothing to compare.

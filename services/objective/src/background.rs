@@ -1,6 +1,6 @@
 //! The background: one colour, or a smooth sky, and the sums over a photo that it is fitted to.
 
-use crate::compare::PhotoTarget;
+use crate::photo_target::PhotoTarget;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use segwild_nn::solve;

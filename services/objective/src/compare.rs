@@ -4,6 +4,8 @@
 //! [`compare`] is stateless: sums for the photo's appearance, for the background and for the histogram of residuals are
 //! returned ([`LossOutput`]). So it may run where the image is, on the host or on a device.
 
+pub use crate::photo_target::PhotoTarget;
+
 use crate::appearance::{apply_matrix, matrix_backward};
 use crate::background::{BackgroundSums, ColourSums, SkySums, add_background, paint};
 use crate::photometric;
@@ -15,57 +17,6 @@ use segwild_scene::{Camera, Image, Pose, box_mean};
 pub const ERROR_WINDOW: usize = 2;
 /// Least transmittance by which an alpha's gradient is divided in the sky.
 pub const LEAST_OPEN: f32 = 0.05;
-
-/// A photo at the size of a comparison, with flags and trust per pixel.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct PhotoTarget {
-    /// Pixels across.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// Red, green, blue and flags ([`PhotoTarget::COUNTS`] and the others), row by row.
-    pub pixels: Vec<[u8; 4]>,
-    /// Trust that each pixel shows the static scene, in [0, 1]: its residual counts that much less towards transients.
-    /// Empty: 0 everywhere.
-    pub trust: Vec<f32>,
-}
-
-impl PhotoTarget {
-    /// Takes part in the colour loss: may be trained on, and is no sky.
-    pub const COUNTS: u8 = 1;
-    /// Is sky.
-    pub const SKY: u8 = 2;
-    /// Is sky, and so are its four neighbours: the border of a sky mask is the part that is wrong.
-    pub const INNER: u8 = 4;
-    /// Is an initial transient: masked as transient before training.
-    pub const INITIAL_TRANSIENT: u8 = 8;
-
-    /// Whether a pixel has a flag.
-    pub fn is(&self, i: usize, flag: u8) -> bool {
-        self.pixels[i][3] & flag != 0
-    }
-
-    /// A pixel's colour in [0, 1].
-    pub fn colour(&self, i: usize) -> [f32; 3] {
-        let [r, g, b, _] = self.pixels[i];
-        [r, g, b].map(|v| f32::from(v) * (1.0 / 255.0))
-    }
-
-    /// The colours, three planes.
-    pub fn image(&self) -> Image {
-        let plane = |c: usize| self.pixels.iter().map(move |p| f32::from(p[c]) * (1.0 / 255.0));
-        let data = plane(0).chain(plane(1)).chain(plane(2)).collect();
-        Image { width: self.width, height: self.height, channels: 3, data }
-    }
-
-    /// A residual times one minus the trust of its pixel.
-    pub fn uncertain(&self, residual: &[f32]) -> Vec<f32> {
-        if self.trust.is_empty() {
-            return residual.to_vec();
-        }
-        residual.iter().zip(&self.trust).map(|(r, t)| r * (1.0 - t)).collect()
-    }
-}
 
 /// Which pixels a comparison leaves out.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,7 +1,7 @@
 //! What an engine may do beside rasterising: train splats, and refine features, on its device. An engine that computes
 //! on the host does neither by itself: the host's code of the trainer and of [`crate::field`] drives its rasteriser.
 
-use crate::field::{DeviceLifting, DeviceRefinement, FeatureTarget, Queries, Refining};
+use crate::field::{DeviceLifting, DeviceRefinement, FeatureTarget, Lifting, Queries, Refining};
 use crate::{Held, Resident};
 use segwild_raster::{CpuEngine, Kept, RasterError, Rasterizer};
 use std::any::Any;
@@ -18,7 +18,7 @@ pub trait TrainingBackend: Send + Sync {
 /// Lifts, refines and compares features on its device.
 pub trait FieldBackend: Send + Sync {
     /// Allocates sums of rows of so many numbers per splat on the device, for
-    /// [`Lifting::settle`](crate::field::Lifting::settle). `None` where this engine computes on the host, or where they
+    /// [`Lifting::settle`]. `None` where this engine computes on the host, or where they
     /// would take too much memory.
     fn settle_lifting(
         &self,
@@ -46,6 +46,22 @@ pub trait FieldBackend: Send + Sync {
     /// [`score`](crate::field::score) of features that were uploaded; `None` where they were not.
     fn similarity(&self, _features: &Kept, _queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
         Ok(None)
+    }
+}
+
+impl Lifting {
+    /// Moves them to the device of an engine, if it has the memory.
+    pub fn settle(&mut self, engine: &dyn FieldBackend) -> Result<(), RasterError> {
+        self.on_device = engine.settle_lifting(self.splats(), self.row())?;
+        Ok(())
+    }
+}
+
+impl Refining {
+    /// Moves them to the device of an engine, if it has the memory.
+    pub fn settle(&mut self, engine: &dyn FieldBackend) -> Result<(), RasterError> {
+        self.on_device = engine.settle_refining(self)?;
+        Ok(())
     }
 }
 

@@ -32,6 +32,7 @@ mod engine;
 mod fallback;
 pub mod field;
 mod losses;
+mod photo_target;
 mod training;
 pub mod transients;
 

@@ -1,6 +1,6 @@
 //! The appearance model `affine`: a colour matrix per photo.
 
-use super::{Appearance, AppearanceEmbedding, Directions, through};
+use super::model::{Appearance, AppearanceEmbedding, Directions, through};
 use crate::adam::Adam;
 use segwild_scene::Image;
 use wincode::{SchemaRead, SchemaWrite};

@@ -1,7 +1,7 @@
 //! The appearance model `embed`: an embedding per photo and per splat, so that light affects each splat differently.
 
 use super::affine::{IDENTITY, NUMBERS};
-use super::{Appearance, AppearanceEmbedding, Directions};
+use super::model::{Appearance, AppearanceEmbedding, Directions};
 use crate::adam::Adam;
 use rayon::prelude::*;
 use segwild_scene::Random;

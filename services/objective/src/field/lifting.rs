@@ -1,6 +1,5 @@
 //! Lifting: sums per splat over views (method, section 4).
 
-use crate::FieldBackend;
 use rayon::prelude::*;
 use segwild_raster::{Projected, RasterError};
 use segwild_scene::Image;
@@ -14,7 +13,7 @@ pub struct Lifting {
     row: usize,
     sums: Vec<f32>,
     weights: Vec<f32>,
-    on_device: Option<Box<dyn DeviceLifting>>,
+    pub(crate) on_device: Option<Box<dyn DeviceLifting>>,
 }
 
 /// Sums on a device.
@@ -35,10 +34,9 @@ impl Lifting {
         Lifting { row, sums: vec![0.0; splats * row], weights: vec![0.0; splats], on_device: None }
     }
 
-    /// Moves them to the device of an engine, if it has the memory.
-    pub fn settle(&mut self, engine: &dyn FieldBackend) -> Result<(), RasterError> {
-        self.on_device = engine.settle_lifting(self.weights.len(), self.row)?;
-        Ok(())
+    /// Number of splats.
+    pub(crate) fn splats(&self) -> usize {
+        self.weights.len()
     }
 
     /// Numbers of a row.

@@ -18,7 +18,6 @@ pub use membership::Membership;
 pub use rows::{BETA1, BETA2, EPSILON, RowAdam};
 pub use similarity::{Queries, dot, score};
 
-use crate::FieldBackend;
 use segwild_raster::{Channels, Projected, RasterError};
 use segwild_scene::Image;
 use std::any::Any;
@@ -34,7 +33,7 @@ pub struct FeatureTarget<'a> {
     pub validity: &'a [f32],
     /// From the view's pixels to its cells.
     pub average: &'a AreaAverage,
-    /// Handle that [`FieldBackend::upload_target`] returned for it.
+    /// Handle that [`upload_target`](crate::FieldBackend::upload_target) returned for it.
     pub on_device: Option<&'a (dyn Any + Send + Sync)>,
 }
 
@@ -76,7 +75,7 @@ pub struct Refining {
     decoder: Option<LearnedDecoder>,
     rule: FieldRule,
     losses: FieldLosses,
-    on_device: Option<Box<dyn DeviceRefinement>>,
+    pub(crate) on_device: Option<Box<dyn DeviceRefinement>>,
 }
 
 /// Features on a device.
@@ -118,12 +117,6 @@ impl Refining {
     ) -> Refining {
         let adam = RowAdam::new(values.len() / channels.max(1), channels, rule.rate);
         Refining { values, adam, channels, decoder, rule, losses: FieldLosses::default(), on_device: None }
-    }
-
-    /// Moves them to the device of an engine, if it has the memory.
-    pub fn settle(&mut self, engine: &dyn FieldBackend) -> Result<(), RasterError> {
-        self.on_device = engine.settle_refining(self)?;
-        Ok(())
     }
 
     /// The features, while they are on the host.

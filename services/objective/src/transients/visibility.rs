@@ -4,7 +4,7 @@
 //! units follow the photo's median and the largest share that may be left out, so that neither a map that hides all
 //! minimises the loss, nor one that hides nothing where residuals stand out.
 
-use crate::compare::PhotoTarget;
+use crate::photo_target::PhotoTarget;
 use segwild_scene::Image;
 
 /// A photo's visibility map, of one plane: the probability that a part of the photo shows the scene, in [0, 1].

@@ -1,6 +1,7 @@
 //! The networks of the appearance model `gsw` while a device trains them.
 
-use super::{GswAppearance, GswWidth, ImageConditioning, LAYER, WHOLE};
+use super::appearance::WHOLE;
+use super::{GswAppearance, GswWidth, ImageConditioning, LAYER};
 use crate::adam::{Adam, Rule};
 use segwild_nn::Map;
 

@@ -3,8 +3,9 @@
 //! Splats are taken in pieces, each by one task; sums over splats are taken piece by piece, in order. The backward pass
 //! recomputes the forward pass of a piece, which costs less than storing the activations of all splats.
 
+use super::appearance::{AppearanceMaps, COORDINATE, EMBEDDING_SIZE, GswAppearance, VisibleSplats};
 use super::nets::{DYNAMIC, HIDDEN_LAYER, INTRINSIC, LAYER, MAPS, Networks, SAMPLE, VECTOR};
-use super::{AppearanceMaps, COORDINATE, Directions, EMBEDDING_SIZE, GswAppearance, VisibleSplats};
+use crate::appearance::model::Directions;
 use rayon::prelude::*;
 use segwild_nn::{Activations, BilinearSample, Strided, product};
 
