@@ -6,6 +6,7 @@
 
 mod actor;
 mod appearances;
+mod checkpoint;
 mod choice;
 mod colours;
 mod density;
@@ -17,11 +18,13 @@ mod light;
 mod model;
 mod multi_view_pruning;
 mod on_device;
+mod painter;
 mod params;
 mod photometric;
 mod photos;
 mod pixels;
 mod posed;
+mod preparation;
 mod sampler;
 mod schedule;
 mod settings;
@@ -33,6 +36,7 @@ mod trainer;
 mod transients;
 
 pub use actor::{FindCheckpoint, TrainActor, TrainOrder, TrainOutcome};
+pub use checkpoint::Checkpoint;
 pub use choice::{
     APPEARANCE_MODELS, AppearanceChoice, BudgetChoice, SIZE as CHOICE_SIZE, ShortFit, Tracks,
     choose_appearance, choose_budget, trial_size,
@@ -48,5 +52,5 @@ pub use segwild_objective::background::Background;
 pub use settings::{AppearanceModel, DensityKind, Preset, TrainSettings};
 pub use splat_budget::splat_cap;
 pub use stereo_points::stereo_bytes;
-pub use trainer::{Checkpoint, StepReport, Trainer};
+pub use trainer::{StepReport, Trainer};
 pub use transients::{TransientEvidence, transient_evidence};

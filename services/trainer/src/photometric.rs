@@ -3,10 +3,10 @@
 
 use crate::TrainSettings;
 use crate::appearances::{self, AffineColour};
+use crate::painter::Painter;
 use crate::photos::{PhotoLevel, Stored};
 use crate::posed::Posed;
 use crate::schedule::Schedule;
-use crate::state::Painter;
 use segwild_objective::AnyAppearance;
 use segwild_objective::background::Background;
 use segwild_objective::compare::{LeaveOut, LossInputs, LossOutput, PhotoTarget};

@@ -5,10 +5,10 @@ use crate::appearances;
 use crate::density::{DensityChange, StepObservation, Surroundings};
 use crate::model::options;
 use crate::multi_view_pruning::MultiViewPruning;
-use crate::params::Rates;
+use crate::painter::RenderedView;
 use crate::photometric::StepPhoto;
 use crate::pixels::{at_centres, first_background};
-use crate::state::{RenderedView, mean_quality};
+use crate::state::mean_quality;
 use crate::trainer::{StepReport, Trainer};
 use segwild_objective::compare::{self, Compared, LeaveOut, LossOutput, mean_difference};
 use segwild_objective::transients::VisibilityMap;
@@ -114,19 +114,6 @@ impl Trainer {
         params.update(&grads, &sh_grads, &rates);
         params.update_embeddings(&embedding_grads, &radii, &rates, side.appearance.as_appearance().fading());
         Ok(output)
-    }
-
-    pub(crate) fn rates(&self, step: u32) -> Rates {
-        let s = &self.settings;
-        let late = self.schedule.late_factor(step);
-        Rates {
-            mean: s.lr_mean * self.state.pixel * self.schedule.mean_factor(step),
-            opacity: s.lr_opacity * late,
-            scale: s.lr_scale * late,
-            rotation: s.lr_rotation * late,
-            colour: s.lr_colour * late,
-            splat_embedding: s.lr_splat_embedding * self.schedule.embedding_factor(step),
-        }
     }
 
     /// Removes splats without multi-view support: transients that one photo put before its camera.

@@ -1,28 +1,22 @@
-//! The training loop.
+//! A training: its start, and what it holds.
 
 use crate::appearances;
 use crate::colours::coloured;
 use crate::density::{DensityChange, Strategy};
 use crate::initial::{Eye, initial_splats};
-use crate::initial_transients::initial_transients;
-use crate::model::{Model, Stats};
-use crate::params::Params;
+use crate::params::{Params, Rates};
 use crate::photos::{Photos, Stored, TrainPhotoCache};
 use crate::posed::{Posed, posed};
 use crate::sampler::Sampler;
 use crate::schedule::Schedule;
 use crate::splat_budget::SplatBudget;
-use crate::state::{TrainState, mean_quality};
-use crate::stereo_points;
+use crate::state::TrainState;
 use crate::{TrainError, TrainSettings};
 use segwild_objective::transients::ResidualHistograms;
-use segwild_objective::{AnyAppearance, Engine, Resident};
-use segwild_scene::Random;
-use segwild_scene::{Camera, Mask, Point, Scene, Skipped};
-use std::borrow::Cow;
+use segwild_objective::{Engine, Resident};
+use segwild_scene::{Camera, Mask, Point, Random, Scene, Skipped};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use wincode::{SchemaRead, SchemaWrite};
 
 /// Trainers that there were in this process.
 static TRAINERS: AtomicU64 = AtomicU64::new(0);
@@ -66,70 +60,9 @@ pub struct Trainer {
     /// Whether they may be uploaded.
     pub(crate) may_upload: bool,
     /// Points of the stereo initialisation.
-    stereo_count: usize,
+    pub(crate) stereo_count: usize,
     /// Mean share of the photos that is transient, by the search before the training.
-    initial_transient_share: Option<f32>,
-}
-
-/// A training that can be continued: with the same scene, photos and settings it ends in the same bytes as
-/// one that never stopped.
-#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
-pub struct Checkpoint {
-    /// The settings, name and value.
-    settings: Vec<(String, String)>,
-    /// Names of the scene's views.
-    names: Vec<String>,
-    state: TrainState,
-}
-
-impl Checkpoint {
-    /// Steps done.
-    pub fn step(&self) -> u32 {
-        self.state.step
-    }
-
-    /// The scene as it was then, if the checkpoint is whole.
-    ///
-    /// # Errors
-    /// When it does not fit itself: it may come from elsewhere.
-    pub fn model(&self) -> Result<Model, TrainError> {
-        self.state.check(self.names.len())?;
-        let settings = settings_of(&self.settings)?;
-        Ok(model_of(&self.state, self.names.clone(), settings.antialias))
-    }
-}
-
-/// The settings of a checkpoint.
-fn settings_of(named: &[(String, String)]) -> Result<TrainSettings, TrainError> {
-    use segwild_scene::settings::Group;
-    let mut settings = TrainSettings::default();
-    for (name, value) in named {
-        settings.set(name, value).map_err(|e| TrainError::Checkpoint(e.to_string()))?;
-    }
-    settings.check()?;
-    Ok(settings)
-}
-
-/// The scene of a training's state. Views are named by `names`.
-fn model_of(state: &TrainState, names: Vec<String>, antialias: bool) -> Model {
-    let mut appearance = state.appearance.clone();
-    let known = (0..names.len()).filter(|&v| state.backgrounds[v].is_some());
-    appearances::set_mean(&mut appearance, names.len(), known);
-    if let AnyAppearance::Gsw(appearance) = &mut appearance {
-        appearance.forget_training();
-    }
-    Model {
-        splats: state.params.splats.clone(),
-        splat_embeddings: state.params.splat_embeddings.clone(),
-        appearance,
-        backgrounds: state.backgrounds.clone(),
-        names,
-        trained_on: state.sampler.views().iter().map(|&v| v as u32).collect(),
-        transient_shares: state.robust.shares().to_vec(),
-        transient_evidence: state.robust.evidence().to_vec(),
-        antialias,
-        stats: Stats { step: state.step, psnr: mean_quality(&state.sampler.views(), &state.quality) },
-    }
+    pub(crate) initial_transient_share: Option<f32>,
 }
 
 impl Trainer {
@@ -145,30 +78,6 @@ impl Trainer {
         let mut cache = photo_cache(scene, photos, &settings);
         let scene = coloured(scene, &mut cache, &|| false)?;
         Trainer::start(engine, &scene, cache, settings, 0, &[])
-    }
-
-    /// The same after a search for initial transients by [`TrainSettings::cross_checks`] other trainings, and after stereo
-    /// initialisation ([`TrainSettings::stereo`]); `stopping` ends these.
-    pub fn prepared(
-        engine: Arc<dyn Engine>,
-        scene: &Scene,
-        photos: Arc<dyn Photos>,
-        settings: TrainSettings,
-        stopping: &dyn Fn() -> bool,
-    ) -> Result<Trainer, TrainError> {
-        settings.check()?;
-        let settings = settings.decided(scene);
-        let mut cache = photo_cache(scene, photos, &settings);
-        let scene = &*coloured(scene, &mut cache, stopping)?;
-        let found = initial_transients(&engine, scene, &mut cache, &settings, stopping)?;
-        let stereo = stereo_points::points(scene, &mut cache, &settings, &found.masks, stopping)?;
-        let robust = ResidualHistograms::new(found.robust_shares(&settings), found.shares.clone());
-        let mut trainer = Trainer::start(engine, scene, cache, settings, 0, &stereo)?;
-        trainer.initial_transient_share = found.mean_share();
-        trainer.state.initial_transients = found.masks;
-        trainer.state.robust = robust;
-        trainer.stereo_count = stereo.len();
-        Ok(trainer)
     }
 
     /// Starts from the scene's points and those of `stereo`, on photos that are halved `finest` times at the least.
@@ -233,77 +142,38 @@ impl Trainer {
         for warning in &start.warnings {
             tracing::warn!("{warning}");
         }
-        Ok(Trainer {
-            engine,
-            schedule,
-            views: posed(scene),
-            photos: cache,
-            warnings: start.warnings,
-            state,
-            settings,
-            id: TRAINERS.fetch_add(1, Ordering::Relaxed),
-            resident: None,
-            may_upload: true,
-            stereo_count: 0,
-            initial_transient_share: None,
-        })
+        let warnings = start.warnings;
+        Ok(Trainer { warnings, ..Trainer::of_state(engine, settings, schedule, posed(scene), cache, state) })
     }
 
-    /// Continues from a checkpoint of the same scene, with the settings it was made with.
-    pub fn resume(
+    /// A training in a given state, its splats on the host.
+    pub(crate) fn of_state(
         engine: Arc<dyn Engine>,
-        scene: &Scene,
-        photos: Arc<dyn Photos>,
-        checkpoint: Checkpoint,
-    ) -> Result<Trainer, TrainError> {
-        let settings = settings_of(&checkpoint.settings)?;
-        let names: Vec<String> = scene.views.iter().map(|v| v.name.clone()).collect();
-        if names != checkpoint.names {
-            let odd = names.iter().zip(&checkpoint.names).find(|(a, b)| a != b);
-            let reason = match odd {
-                Some((here, there)) => format!("it has photo `{there}` where the scene has `{here}`"),
-                None => format!("it has {} photos, the scene {}", checkpoint.names.len(), names.len()),
-            };
-            return Err(TrainError::Checkpoint(reason));
-        }
-        checkpoint.state.check(scene.views.len())?;
-        let mut photos = photo_cache(scene, photos, &settings);
-        let schedule = Schedule::new(&settings);
-        let state = checkpoint.state;
-        // Points' colours are needed at the first step of a photo.
-        let unseen = state.sampler.views().iter().any(|&view| state.backgrounds[view].is_none());
-        let scene = if unseen { coloured(scene, &mut photos, &|| false)? } else { Cow::Borrowed(scene) };
-        Ok(Trainer {
+        settings: TrainSettings,
+        schedule: Schedule,
+        views: Vec<Posed>,
+        photos: TrainPhotoCache,
+        state: TrainState,
+    ) -> Trainer {
+        Trainer {
             engine,
+            settings,
             schedule,
-            views: posed(&scene),
+            views,
             photos,
             warnings: Vec::new(),
             state,
-            settings,
             id: TRAINERS.fetch_add(1, Ordering::Relaxed),
             resident: None,
             may_upload: true,
             stereo_count: 0,
             initial_transient_share: None,
-        })
+        }
     }
 
     /// Holds so many MiB of decoded photos from now on. What is trained does not depend on it.
     pub fn hold_photos(&mut self, mib: usize) {
         self.photos.limit_to(mib << 20);
-    }
-
-    /// Everything needed to continue later.
-    pub fn checkpoint(&mut self) -> Result<Checkpoint, TrainError> {
-        self.download()?;
-        use segwild_scene::settings::Group;
-        let settings = TrainSettings::FIELDS
-            .iter()
-            .map(|f| (f.name.to_owned(), self.settings.get(f.name).expect("a field of the group")))
-            .collect();
-        let names = self.views.iter().map(|v| v.name.clone()).collect();
-        Ok(Checkpoint { settings, names, state: self.state.clone() })
     }
 
     /// The settings of this run.
@@ -386,28 +256,32 @@ impl Trainer {
         }
     }
 
+    /// The learning rates of a step.
+    pub(crate) fn rates(&self, step: u32) -> Rates {
+        let s = &self.settings;
+        let late = self.schedule.late_factor(step);
+        Rates {
+            mean: s.lr_mean * self.state.pixel * self.schedule.mean_factor(step),
+            opacity: s.lr_opacity * late,
+            scale: s.lr_scale * late,
+            rotation: s.lr_rotation * late,
+            colour: s.lr_colour * late,
+            splat_embedding: s.lr_splat_embedding * self.schedule.embedding_factor(step),
+        }
+    }
+
     /// The camera of a view at a level of its photo.
     pub(crate) fn camera(&self, view: usize, stored: &Stored, level: usize) -> Camera {
         stored.camera(&self.views[view].camera, level)
     }
-
-    /// The scene as it is now.
-    pub fn snapshot(&mut self) -> Result<Model, TrainError> {
-        self.download()?;
-        let names = self.views.iter().map(|v| v.name.clone()).collect();
-        Ok(model_of(&self.state, names, self.settings.antialias))
-    }
-
-    /// Does the steps that are left, then hands the scene over.
-    pub fn finish(mut self) -> Result<Model, TrainError> {
-        while !self.is_done() {
-            self.step()?;
-        }
-        self.snapshot()
-    }
 }
 
-fn photo_cache(scene: &Scene, photos: Arc<dyn Photos>, settings: &TrainSettings) -> TrainPhotoCache {
+/// The photos of a scene, held as far as the settings say.
+pub(crate) fn photo_cache(
+    scene: &Scene,
+    photos: Arc<dyn Photos>,
+    settings: &TrainSettings,
+) -> TrainPhotoCache {
     let names = scene.views.iter().map(|v| v.name.clone()).collect();
     TrainPhotoCache::new(photos, names, settings.photo_cache_mib << 20)
 }

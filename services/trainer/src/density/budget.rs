@@ -1,8 +1,7 @@
 //! Grow while it pays, where gradient and error are large; prune what no photo needs (method, section 9).
 
-use super::{
-    Density, DensityChange, DensityStats, Reshaping, StepObservation, Surroundings, split_in_two, top,
-};
+use super::control::{Density, DensityChange, DensityStats, StepObservation, Surroundings, top};
+use super::reshaping::{Reshaping, split_in_two};
 use crate::{TrainError, TrainSettings};
 use wincode::{SchemaRead, SchemaWrite};
 

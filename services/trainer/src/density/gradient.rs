@@ -1,7 +1,8 @@
 //! Clone, split, prune and opacity reset by gradient threshold (Kerbl et al. 2023; absolute gradients as in
 //! AbsGS), with its schedule scaled to the length of the run.
 
-use super::{Density, DensityChange, DensityStats, Reshaping, StepObservation, Surroundings};
+use super::control::{Density, DensityChange, DensityStats, StepObservation, Surroundings, top};
+use super::reshaping::Reshaping;
 use crate::initial::logit;
 use crate::{TrainError, TrainSettings};
 use glam::Vec3;
@@ -68,7 +69,7 @@ impl Density for Gradient {
             .map(|i| self.stats.mean(&self.stats.gradient, i))
             .map(|g| if g > THRESHOLD { g } else { 0.0 })
             .collect();
-        let chosen = super::top(&wanted, space);
+        let chosen = top(&wanted, space);
         let large = SPLIT_PIXELS * around.pixel;
         let (split, clone): (Vec<usize>, Vec<usize>) =
             chosen.iter().partition(|&&i| all.splats.scale(i).max_element() > large);

@@ -1,7 +1,8 @@
 //! Densification as sampling (Kheradmand et al. 2024): a cap, dead splats relocated onto living ones so that
 //! the image stays, and noise on the centres of nearly transparent splats.
 
-use super::{Density, DensityChange, Reshaping, StepObservation, Surroundings};
+use super::control::{Density, DensityChange, StepObservation, Surroundings};
+use super::reshaping::Reshaping;
 use crate::initial::logit;
 use crate::{TrainError, TrainSettings};
 use glam::Vec3;

@@ -1,6 +1,8 @@
 //! Splats while density control acts on them: their shapes, and which splats they come from. Colours, embeddings and optimiser
 //! states follow from that, on the host or on the device.
 
+use crate::initial::logit;
+use glam::Vec3;
 use segwild_objective::Reshaped;
 use segwild_scene::Splats;
 
@@ -65,5 +67,34 @@ impl Reshaping {
     pub fn done(self) -> Reshaped {
         let Reshaping { splats, parents, forgotten, opacities_forgotten, .. } = self;
         Reshaped { shapes: splats, parents, forgotten, opacities_forgotten }
+    }
+}
+
+/// Replaces splats by two halves each, along their longest axis; the second halves go to the end.
+///
+/// A Gaussian of deviation s becomes two at +-d with deviation s' such that d^2 + s'^2 = s^2; the other axes
+/// shrink a little and the opacity falls, so that the image hardly changes. The optimiser forgets both: its
+/// first steps on new splats are then its longest, which is what puts them to use in short runs.
+pub(crate) fn split_in_two(all: &mut Reshaping, which: &[usize]) {
+    const OFFSET: f32 = 0.7;
+    const SHRINK: f32 = 0.714;
+    const NARROW: f32 = 0.85;
+    let n = all.len();
+    let parents: Vec<usize> = (0..n).chain(which.iter().copied()).collect();
+    all.remap(&parents);
+    all.forget((n..parents.len()).chain(which.iter().copied()));
+    let splats = &mut all.splats;
+    for (k, &i) in which.iter().enumerate() {
+        let scale = splats.scale(i);
+        let axis = (0..3).max_by(|&a, &b| scale[a].total_cmp(&scale[b])).expect("three axes");
+        let direction: Vec3 = splats.rotation(i).col(axis) * scale[axis] * OFFSET;
+        let lowered = logit((1.0 - (1.0 - splats.opacity(i)).powf(0.7)).clamp(0.004, 0.995));
+        for (j, sign) in [(i, 1.0), (n + k, -1.0)] {
+            for a in 0..3 {
+                splats.means[j][a] += sign * direction[a];
+                splats.log_scales[j][a] += if a == axis { SHRINK.ln() } else { NARROW.ln() };
+            }
+            splats.opacities[j] = lowered;
+        }
     }
 }

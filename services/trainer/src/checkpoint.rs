@@ -1,0 +1,133 @@
+//! What a training hands over: checkpoints, to continue from, and the scene.
+
+use crate::appearances;
+use crate::colours::coloured;
+use crate::model::{Model, Stats};
+use crate::photos::Photos;
+use crate::posed::posed;
+use crate::schedule::Schedule;
+use crate::state::{TrainState, mean_quality};
+use crate::trainer::{Trainer, photo_cache};
+use crate::{TrainError, TrainSettings};
+use segwild_objective::{AnyAppearance, Engine};
+use segwild_scene::Scene;
+use std::borrow::Cow;
+use std::sync::Arc;
+use wincode::{SchemaRead, SchemaWrite};
+
+/// A training that can be continued: with the same scene, photos and settings it ends in the same bytes as
+/// one that never stopped.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub struct Checkpoint {
+    /// The settings, name and value.
+    settings: Vec<(String, String)>,
+    /// Names of the scene's views.
+    names: Vec<String>,
+    state: TrainState,
+}
+
+impl Checkpoint {
+    /// Steps done.
+    pub fn step(&self) -> u32 {
+        self.state.step
+    }
+
+    /// The scene as it was then, if the checkpoint is whole.
+    ///
+    /// # Errors
+    /// When it does not fit itself: it may come from elsewhere.
+    pub fn model(&self) -> Result<Model, TrainError> {
+        self.state.check(self.names.len())?;
+        let settings = settings_of(&self.settings)?;
+        Ok(model_of(&self.state, self.names.clone(), settings.antialias))
+    }
+}
+
+/// The settings of a checkpoint.
+fn settings_of(named: &[(String, String)]) -> Result<TrainSettings, TrainError> {
+    use segwild_scene::settings::Group;
+    let mut settings = TrainSettings::default();
+    for (name, value) in named {
+        settings.set(name, value).map_err(|e| TrainError::Checkpoint(e.to_string()))?;
+    }
+    settings.check()?;
+    Ok(settings)
+}
+
+/// The scene of a training's state. Views are named by `names`.
+fn model_of(state: &TrainState, names: Vec<String>, antialias: bool) -> Model {
+    let mut appearance = state.appearance.clone();
+    let known = (0..names.len()).filter(|&v| state.backgrounds[v].is_some());
+    appearances::set_mean(&mut appearance, names.len(), known);
+    if let AnyAppearance::Gsw(appearance) = &mut appearance {
+        appearance.forget_training();
+    }
+    Model {
+        splats: state.params.splats.clone(),
+        splat_embeddings: state.params.splat_embeddings.clone(),
+        appearance,
+        backgrounds: state.backgrounds.clone(),
+        names,
+        trained_on: state.sampler.views().iter().map(|&v| v as u32).collect(),
+        transient_shares: state.robust.shares().to_vec(),
+        transient_evidence: state.robust.evidence().to_vec(),
+        antialias,
+        stats: Stats { step: state.step, psnr: mean_quality(&state.sampler.views(), &state.quality) },
+    }
+}
+
+impl Trainer {
+    /// Continues from a checkpoint of the same scene, with the settings it was made with.
+    pub fn resume(
+        engine: Arc<dyn Engine>,
+        scene: &Scene,
+        photos: Arc<dyn Photos>,
+        checkpoint: Checkpoint,
+    ) -> Result<Trainer, TrainError> {
+        let settings = settings_of(&checkpoint.settings)?;
+        let names: Vec<String> = scene.views.iter().map(|v| v.name.clone()).collect();
+        if names != checkpoint.names {
+            let odd = names.iter().zip(&checkpoint.names).find(|(a, b)| a != b);
+            let reason = match odd {
+                Some((here, there)) => format!("it has photo `{there}` where the scene has `{here}`"),
+                None => format!("it has {} photos, the scene {}", checkpoint.names.len(), names.len()),
+            };
+            return Err(TrainError::Checkpoint(reason));
+        }
+        checkpoint.state.check(scene.views.len())?;
+        let mut photos = photo_cache(scene, photos, &settings);
+        let schedule = Schedule::new(&settings);
+        let state = checkpoint.state;
+        // Points' colours are needed at the first step of a photo.
+        let unseen = state.sampler.views().iter().any(|&view| state.backgrounds[view].is_none());
+        let scene = if unseen { coloured(scene, &mut photos, &|| false)? } else { Cow::Borrowed(scene) };
+        Ok(Trainer::of_state(engine, settings, schedule, posed(&scene), photos, state))
+    }
+
+    /// Everything needed to continue later.
+    pub fn checkpoint(&mut self) -> Result<Checkpoint, TrainError> {
+        self.download()?;
+        use segwild_scene::settings::Group;
+        let settings = TrainSettings::FIELDS
+            .iter()
+            .map(|f| (f.name.to_owned(), self.settings.get(f.name).expect("a field of the group")))
+            .collect();
+        let names = self.views.iter().map(|v| v.name.clone()).collect();
+        Ok(Checkpoint { settings, names, state: self.state.clone() })
+    }
+
+    /// The scene as it is now.
+    pub fn snapshot(&mut self) -> Result<Model, TrainError> {
+        self.download()?;
+        let names = self.views.iter().map(|v| v.name.clone()).collect();
+        Ok(model_of(&self.state, names, self.settings.antialias))
+    }
+
+    /// Does the steps that are left, then hands the scene over.
+    pub fn finish(mut self) -> Result<Model, TrainError> {
+        while !self.is_done() {
+            self.step()?;
+        }
+        self.snapshot()
+    }
+}
