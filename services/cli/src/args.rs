@@ -1,98 +1,16 @@
-//! The command line: the program, what its commands share, and flags made from the settings structs.
+//! Arguments that commands share, what they were given, and flags made from the settings structs.
 
-use crate::commands::{
-    bake, batch, bench, cache, completions, demo, doctor, eval, objects, render, run, segment, serve, status,
-    top,
-};
+use crate::failure::Failure;
 use clap::builder::PossibleValuesParser;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_pipeline::Settings;
 use segwild_scene::settings::Field;
 use std::path::PathBuf;
-
-/// The whole program.
-pub fn program() -> Command {
-    let program = Command::new("segwild")
-        .version(env!("CARGO_PKG_VERSION"))
-        .about("From a pile of tourist photos to a 3D scene whose objects you can click")
-        .subcommand_required(true)
-        .arg_required_else_help(true)
-        .after_help(crate::exit::HELP)
-        .arg(
-            // For tests: what goes wrong where, as `segwild_flow::fault` reads it.
-            Arg::new("fault").long("fault").global(true).hide(true).action(ArgAction::Append),
-        )
-        .subcommands([
-            run::command(),
-            serve::command(),
-            segment::command(),
-            objects::command(),
-            render::command(),
-            bake::command(),
-            eval::command(),
-            batch::command(),
-            status::command(),
-            top::command(),
-            cache::command(),
-            demo::command(),
-            doctor::command(),
-            bench::command(),
-            completions::command(),
-            completions::man_command(),
-        ]);
-    with_help(program)
-}
-
-/// Gives a command and those below it two helps: `--help` fits a screen, `--help-all` has the expert settings and every word
-/// on each flag.
-fn with_help(command: Command) -> Command {
-    let help = Arg::new("help").short('h').long("help").action(ArgAction::HelpShort).help("Print help");
-    let all = Arg::new("help-all")
-        .long("help-all")
-        .action(ArgAction::HelpLong)
-        .help("Print help with all settings, those for experts included");
-    command
-        .disable_help_flag(true)
-        .disable_help_subcommand(true)
-        .arg(help)
-        .arg(all)
-        .mut_subcommands(with_help)
-}
+use std::str::FromStr;
 
 /// Two examples at the end of a command's help.
 pub fn examples(first: &str, second: &str) -> String {
     format!("Examples:\n  {first}\n  {second}")
-}
-
-/// Flags of earlier versions that are no settings: the command, the flag, and what it is called now.
-const RENAMED: [(&str, &str, &str); 13] = [
-    ("segment", "in", "positive"),
-    ("segment", "out", "negative"),
-    ("segment", "not", "negative"),
-    ("render", "look", "appearance"),
-    ("render", "object-look", "object-appearance"),
-    ("render", "between", "interpolate"),
-    ("bake", "look", "appearance"),
-    ("bake", "object-look", "object-appearance"),
-    ("bake", "between", "interpolate"),
-    ("eval", "strangers", "transient-truth"),
-    ("demo", "seed", "scene-seed"),
-    ("bench", "places", "scene-seeds"),
-    ("bench", "prompts", "clicks"),
-];
-
-/// What a flag of an earlier version of a command is called now, without its dashes; `None` where the command has neither.
-pub fn renamed(command: &str, flag: &str) -> Option<String> {
-    let flag = flag.trim_start_matches('-').split('=').next().unwrap_or_default();
-    let own = RENAMED.iter().find(|(of, before, _)| *of == command && *before == flag);
-    let now = match own {
-        Some((_, _, now)) => (*now).to_owned(),
-        None => segwild_pipeline::renamed(flag)?.replace('_', "-"),
-    };
-    let has = |command: &Command| command.get_arguments().any(|arg| arg.get_long() == Some(&now));
-    let program = program();
-    let command = program.find_subcommand(command)?;
-    (has(command) || command.get_subcommands().any(has)).then_some(now)
 }
 
 /// The run folder.
@@ -178,6 +96,26 @@ pub fn flag(name: &'static str, help: &'static str) -> Arg {
     Arg::new(name).long(name).action(ArgAction::SetTrue).help(help)
 }
 
+/// What a flag of a path was given.
+pub fn path_of(matches: &ArgMatches, name: &str) -> Option<PathBuf> {
+    matches.get_one::<PathBuf>(name).cloned()
+}
+
+/// The words of a flag that takes several, with commas between them.
+pub fn list(matches: &ArgMatches, name: &str) -> Vec<String> {
+    let text = matches.get_one::<String>(name).map_or("", String::as_str);
+    text.split(',').map(str::trim).filter(|t| !t.is_empty()).map(str::to_owned).collect()
+}
+
+/// The whole numbers of a flag that takes several, with commas between them.
+pub fn numbers<T: FromStr>(matches: &ArgMatches, name: &str) -> Result<Vec<T>, Failure> {
+    let read = |text: String| {
+        text.parse()
+            .map_err(|_| Failure::usage(format!("--{name} {text}: expected whole numbers with commas")))
+    };
+    list(matches, name).into_iter().map(read).collect()
+}
+
 /// Adds a flag for every setting of every table.
 pub fn with_settings(mut command: Command) -> Command {
     for (table, _, _) in Settings::catalogue() {
@@ -261,88 +199,4 @@ pub fn given(matches: &ArgMatches) -> Vec<(String, String)> {
         }
     }
     pairs
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use std::collections::BTreeMap;
-
-    #[test]
-    fn the_command_line_is_consistent() {
-        program().debug_assert();
-    }
-
-    /// Every command with its path, those without commands below them.
-    fn commands(command: &Command, path: &str, all: &mut Vec<(String, Command)>) {
-        let path = format!("{path} {}", command.get_name());
-        if command.has_subcommands() {
-            command.get_subcommands().for_each(|inner| commands(inner, &path, all));
-        }
-        all.push((path, command.clone()));
-    }
-
-    fn all_commands() -> Vec<(String, Command)> {
-        let mut all = Vec::new();
-        commands(&program(), "", &mut all);
-        all
-    }
-
-    #[test]
-    fn the_help_of_every_command_fits_a_screen_and_ends_with_two_examples() {
-        for (path, command) in all_commands() {
-            if command.is_hide_set() || path == " segwild" {
-                continue;
-            }
-            let help = command.term_width(120).render_help().to_string();
-            let lines = help.lines().count();
-            assert!(lines <= 60, "{path}: {lines} lines\n{help}");
-            let (_, examples) = help.split_once("Examples:\n").unwrap_or_else(|| panic!("{path}: {help}"));
-            let commands = examples.lines().map(str::trim).filter(|line| line.starts_with("segwild "));
-            let commands: Vec<&str> = commands.map(|line| line.split(" > ").next().unwrap_or(line)).collect();
-            assert!(commands.len() >= 2, "{path}: {examples}");
-            for command in commands {
-                let parsed = program().try_get_matches_from(command.split(' '));
-                assert!(
-                    parsed.is_ok(),
-                    "{path}: `{command}`: {}",
-                    parsed.err().map_or_else(String::new, |e| e.to_string())
-                );
-            }
-        }
-    }
-
-    #[test]
-    fn a_flag_has_one_meaning_whichever_command_has_it() {
-        let mut forms: BTreeMap<String, String> = BTreeMap::new();
-        let mut twice = Vec::new();
-        for (path, command) in all_commands() {
-            for arg in command.get_arguments().filter(|arg| arg.get_long().is_some() && !arg.is_hide_set()) {
-                let form = arg.get_value_names().map_or(String::new(), |names| names.join(" "));
-                // A benchmark measures at each number of a list.
-                let form = if form == "LIST" { "N".to_owned() } else { form };
-                let long = arg.get_long().unwrap_or_default().to_owned();
-                let first = forms.entry(long.clone()).or_insert_with(|| form.clone());
-                if *first != form {
-                    twice.push(format!("--{long} takes {first} and, in{path}, {form}"));
-                }
-            }
-        }
-        assert!(twice.is_empty(), "{twice:#?}");
-        assert!(forms.len() > 100, "{}", forms.len());
-    }
-
-    #[test]
-    fn the_short_help_leaves_expert_settings_to_the_long_one() {
-        let (_, mut run) =
-            all_commands().into_iter().find(|(path, _)| path == " segwild run").expect("it is there");
-        let (short, long) = (run.render_help().to_string(), run.render_long_help().to_string());
-        for (_, _, fields) in Settings::catalogue() {
-            for field in fields {
-                let flag = format!("--{} ", field.name.replace('_', "-"));
-                assert!(long.contains(&flag), "{flag}");
-                assert_eq!(short.contains(&flag), !field.expert, "{flag}");
-            }
-        }
-    }
 }

@@ -2,17 +2,21 @@
 
 use crate::exit;
 use segwild_bench::flow::FlowError;
+use segwild_bench::page::PageError;
+use segwild_bench::point::PointError;
 use segwild_eval::protocols::ProtocolError;
 use segwild_eval::record::RecordError;
 use segwild_eval::trial::TrialError;
 use segwild_farm::BatchError;
 use segwild_flow::files::name::shown;
 use segwild_flow::{LedgerError, shortage};
+use segwild_gpu::GpuError;
 use segwild_monitor::{ServeError, ViewError};
 use segwild_pipeline::{RunError, SettingsError};
 use segwild_scene::SceneError;
 use segwild_segmenter::SegmentError;
 use segwild_synthetic::SyntheticError;
+use std::path::Path;
 
 /// Why the program ends early.
 #[derive(Debug)]
@@ -29,16 +33,19 @@ impl Failure {
         Failure { message: message.into(), code: exit::USAGE }
     }
 
+    /// A file that the system will not have written.
+    pub fn cannot_write(file: &Path, error: &std::io::Error) -> Failure {
+        Failure { message: format!("cannot write {}: {error}", file.display()), code: exit::of_system(error) }
+    }
+
     /// Tells the person, on standard error.
     pub fn tell(&self) {
         eprintln!("error: {}", plain(&self.message));
     }
 
-    /// Tells a program as well, as the last line of standard output.
-    pub fn tell_json(&self) {
-        let line = serde_json::json!({ "error": plain(&self.message), "exit_code": self.code });
-        // Nobody listening: the exit code says it, too.
-        let _ = crate::commands::print_json(&line);
+    /// What a program reads.
+    pub fn to_json(&self) -> serde_json::Value {
+        serde_json::json!({ "error": plain(&self.message), "exit_code": self.code })
     }
 }
 
@@ -192,6 +199,38 @@ impl From<ProtocolError> for Failure {
             }
             ProtocolError::Record(RecordError::Write(error)) => RunError::from(error).into(),
             ProtocolError::Record(_) | ProtocolError::Perturb(_) | ProtocolError::Metric { .. } => {
+                Failure { message: error.to_string(), code: exit::FAILED }
+            }
+        }
+    }
+}
+
+impl From<PointError> for Failure {
+    fn from(error: PointError) -> Failure {
+        match error {
+            PointError::Trial(e) => e.into(),
+            PointError::NoTruth(_) => Failure { message: error.to_string(), code: exit::INPUT },
+            PointError::Child(_) => Failure { message: error.to_string(), code: exit::FAILED },
+        }
+    }
+}
+
+impl From<PageError> for Failure {
+    fn from(error: PageError) -> Failure {
+        match error {
+            PageError::Settings(e) => e.into(),
+            PageError::Point(e) => e.into(),
+            PageError::Protocol(e) => e.into(),
+            PageError::Unknown { .. } | PageError::Gpu(GpuError::NoAdapter(_)) => {
+                Failure::usage(error.to_string())
+            }
+            PageError::Other(_) | PageError::Record(_) => {
+                Failure { message: error.to_string(), code: exit::FOLDER }
+            }
+            PageError::Io { ref source, .. } => {
+                Failure { message: error.to_string(), code: exit::of_system(source) }
+            }
+            PageError::Plot(_) | PageError::Raster(_) | PageError::Gpu(_) => {
                 Failure { message: error.to_string(), code: exit::FAILED }
             }
         }

@@ -5,6 +5,7 @@ mod commands;
 mod exit;
 mod failure;
 mod operators;
+mod output;
 mod progress;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
@@ -26,7 +27,7 @@ fn refused(error: &clap::Error) -> ExitCode {
         Some(ContextValue::String(flag)) if error.kind() == ErrorKind::UnknownArgument => flag.as_str(),
         _ => "",
     };
-    if let Some(now) = args::renamed(&command, flag) {
+    if let Some(now) = commands::renamed(&command, flag) {
         failure::Failure::usage(format!("`{command}` has no {flag}; it is now --{now}")).tell();
         return ExitCode::from(exit::USAGE);
     }
@@ -39,7 +40,7 @@ fn main() -> ExitCode {
     // of adapters is our own (`segwild_gpu::adapters`).
     // SAFETY: no other thread runs yet.
     unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
-    let matches = match args::program().try_get_matches() {
+    let matches = match commands::program().try_get_matches() {
         Ok(matches) => matches,
         Err(error) => return refused(&error),
     };
@@ -52,31 +53,13 @@ fn main() -> ExitCode {
         failure::Failure::usage(error.to_string()).tell();
         return ExitCode::from(exit::USAGE);
     }
-    let done = match matches.subcommand() {
-        Some(("run", m)) => commands::run::run(m),
-        Some(("serve", m)) => commands::serve::serve(m),
-        Some(("segment", m)) => commands::segment::segment(m),
-        Some(("objects", m)) => commands::objects::objects(m),
-        Some(("render", m)) => commands::render::render(m),
-        Some(("bake", m)) => commands::bake::bake(m),
-        Some(("eval", m)) => commands::eval::eval(m),
-        Some(("batch", m)) => commands::batch::batch(m),
-        Some(("top", m)) => commands::top::top(m),
-        Some(("status", m)) => commands::status::status(m),
-        Some(("cache", m)) => commands::cache::cache(m),
-        Some(("demo", m)) => commands::demo::demo(m),
-        Some(("doctor", m)) => commands::doctor::doctor(m),
-        Some(("bench", m)) => commands::bench::bench(m),
-        Some(("completions", m)) => commands::completions::completions(m),
-        Some(("man", m)) => commands::completions::man(m),
-        _ => unreachable!("clap requires one of the commands"),
-    };
-    match done {
+    match commands::run(&matches) {
         Ok(()) => ExitCode::from(exit::OK),
         Err(failure) => {
             failure.tell();
             if wants_json(&matches) {
-                failure.tell_json();
+                // Nobody listening: the exit code says it, too.
+                let _ = output::print_json(&failure.to_json());
             }
             ExitCode::from(failure.code)
         }

@@ -1,4 +1,4 @@
-//! What `run` and `batch` have in common for operators: `--listen`, and stopping with the parent.
+//! What operators of a run decide: what the process may use, `--listen`, and stopping with the parent.
 
 use crate::exit;
 use crate::failure::Failure;
@@ -73,4 +73,10 @@ pub fn keep_to_cores(matches: &ArgMatches) -> Result<(), Failure> {
     let cores = segwild_flow::cpu::read_list(list)
         .ok_or_else(|| Failure::usage(format!("--cpus {list}: expected numbers with commas")))?;
     segwild_flow::cpu::keep_to(&cores).map_err(|e| Failure::usage(format!("--cpus {list}: {e}")))
+}
+
+/// Uses so many compute threads; 0 for all cores.
+pub fn use_threads(threads: u32) {
+    // Refused only when the pool is there already, and then it serves.
+    let _ = rayon::ThreadPoolBuilder::new().num_threads(threads as usize).build_global();
 }

@@ -1,9 +1,9 @@
 //! `segwild bake`
 
 use super::render::{appearance, object_appearance};
-use super::{path, print_json, print_line};
-use crate::args::{self, appearances, choice, examples, json, selection};
+use crate::args::{self, appearances, choice, examples, json, path_of, selection};
 use crate::failure::Failure;
+use crate::output::{print_json, print_line};
 use clap::{ArgMatches, Command};
 use segwild_pipeline::{BakeRequest, RunFolder, ScenePart};
 
@@ -29,7 +29,7 @@ pub fn command() -> Command {
 
 /// Writes splats with an appearance.
 pub fn bake(matches: &ArgMatches) -> Result<(), Failure> {
-    let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
+    let folder = RunFolder::open(&path_of(matches, "run").expect("clap requires it"))?;
     let word = |name: &str| matches.get_one::<String>(name).cloned();
     let (selection, object_appearance) = (word("selection"), object_appearance(matches));
     let part = match word("mode").as_deref() {
@@ -44,7 +44,7 @@ pub fn bake(matches: &ArgMatches) -> Result<(), Failure> {
         interpolate: matches.get_one::<f32>("interpolate").copied(),
         selection,
         part,
-        out: path(matches, "out").unwrap_or_else(|| folder.path().join("baked.ply")),
+        out: path_of(matches, "out").unwrap_or_else(|| folder.path().join("baked.ply")),
     };
     let baked = segwild_pipeline::bake(&folder, &request)?;
     if matches.get_flag("json") {

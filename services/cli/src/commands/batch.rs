@@ -1,9 +1,10 @@
 //! `segwild batch`
 
-use super::{path, print_json, print_line};
+use crate::args::path_of;
 use crate::exit;
 use crate::failure::{Failure, plain};
 use crate::operators::{have_files_to_open, listen, listen_args};
+use crate::output::{print_json, print_line};
 use crate::progress::{duration, on_ctrl_c};
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_farm::{
@@ -54,8 +55,8 @@ pub fn command() -> Command {
 /// Runs the scenes of a manifest, or what is left of them.
 pub fn batch(matches: &ArgMatches) -> Result<(), Failure> {
     have_files_to_open()?;
-    let manifest = path(matches, "manifest").expect("clap requires it");
-    let out = path(matches, "out")
+    let manifest = path_of(matches, "manifest").expect("clap requires it");
+    let out = path_of(matches, "out")
         .unwrap_or_else(|| Path::new("runs").join(manifest.file_stem().unwrap_or(manifest.as_os_str())));
     let json = matches.get_flag("json");
     let _server = listen(matches, &out, matches.get_flag("metrics-per-scene"))?;

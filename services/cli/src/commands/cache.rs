@@ -1,9 +1,9 @@
 //! `segwild cache`
 
-use super::{path, print_json, print_line};
-use crate::args::{self, examples, flag, json, number};
+use crate::args::{self, examples, flag, json, number, path_of};
 use crate::exit;
 use crate::failure::Failure;
+use crate::output::{print_json, print_line};
 use clap::{ArgMatches, Command, value_parser};
 use segwild_pipeline::{
     DamagedFile, RunError, RunFolder, cache_gc, cache_list, cache_verify, verify_selections,
@@ -51,7 +51,7 @@ pub fn command() -> Command {
 /// Lists, verifies or sweeps a run's cache.
 pub fn cache(matches: &ArgMatches) -> Result<(), Failure> {
     let (what, matches) = matches.subcommand().expect("clap requires one");
-    let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
+    let folder = RunFolder::open(&path_of(matches, "run").expect("clap requires it"))?;
     let json = matches.get_flag("json");
     match what {
         "ls" => list(&folder, json),

@@ -1,8 +1,8 @@
 //! `segwild completions` and `segwild man`: made from the definition of the command line.
 
-use super::{path, print_line};
-use crate::args::{self, examples};
+use crate::args::{self, examples, path_of};
 use crate::failure::Failure;
+use crate::output::print_line;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use clap_complete::Shell;
 use std::path::Path;
@@ -26,19 +26,18 @@ pub fn man_command() -> Command {
         .after_help(examples("segwild man", "segwild man --out ~/.local/share/man/man1"))
 }
 
-/// Prints the completions of a shell.
-pub fn completions(matches: &ArgMatches) -> Result<(), Failure> {
+/// Prints the completions of the program for a shell.
+pub fn completions(matches: &ArgMatches, mut program: Command) -> Result<(), Failure> {
     let shell = *matches.get_one::<Shell>("shell").expect("clap requires it");
     let mut script = Vec::new();
-    clap_complete::generate(shell, &mut args::program(), "segwild", &mut script);
+    clap_complete::generate(shell, &mut program, "segwild", &mut script);
     print_line(String::from_utf8_lossy(&script).trim_end())
 }
 
-/// Writes the man pages into a folder.
-pub fn man(matches: &ArgMatches) -> Result<(), Failure> {
-    let out = path(matches, "out").unwrap_or_else(|| "man".into());
+/// Writes the program's man pages into a folder.
+pub fn man(matches: &ArgMatches, mut program: Command) -> Result<(), Failure> {
+    let out = path_of(matches, "out").unwrap_or_else(|| "man".into());
     std::fs::create_dir_all(&out)?;
-    let mut program = args::program();
     program.build();
     write_pages(&program, &out)
 }

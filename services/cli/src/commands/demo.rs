@@ -2,9 +2,9 @@
 
 use super::run::{run_scene, tell};
 use super::serve::{page_of_run, serve_args, stay};
-use super::{path, print_json, print_line};
-use crate::args::{self, examples, flag, json};
+use crate::args::{self, examples, flag, json, path_of};
 use crate::failure::Failure;
+use crate::output::{print_json, print_line};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_eval::oracle::OracleOptions;
 use segwild_eval::trial::{ProviderKind, Trial};
@@ -42,7 +42,7 @@ pub fn command() -> Command {
 
 /// Makes a synthetic scene, runs the whole job on it, selects the objects that photos show largest, scores them.
 pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
-    let out = path(matches, "out").unwrap_or_else(|| PathBuf::from("runs/demo"));
+    let out = path_of(matches, "out").unwrap_or_else(|| PathBuf::from("runs/demo"));
     let json = matches.get_flag("json");
     let seed = *matches.get_one::<u64>("scene-seed").expect("it has a default");
     let options = SyntheticOptions { seed, ..SyntheticOptions::small() };

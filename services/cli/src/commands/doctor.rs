@@ -1,9 +1,9 @@
 //! `segwild doctor`
 
-use super::{path, print_json, print_line};
-use crate::args::{self, examples, flag, json};
+use crate::args::{self, examples, flag, json, path_of};
 use crate::exit;
 use crate::failure::Failure;
+use crate::output::{print_json, print_line};
 use clap::{Arg, ArgMatches, Command};
 use segwild_gpu::{Adapter, AdapterChoice, GpuEngine};
 use segwild_pipeline::{RunSettings, Settings, choose_engine};
@@ -37,13 +37,14 @@ pub fn command() -> Command {
         .after_help(examples("segwild doctor", "segwild doctor --models models --json"))
 }
 
-/// Says what this machine offers and what is used instead of what is missing.
-pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
+/// Says what this machine offers and what is used instead of what is missing, or prints a page of the reference to the
+/// program.
+pub fn doctor(matches: &ArgMatches, program: Command) -> Result<(), Failure> {
     if let Some(page) = matches.get_one::<String>("settings") {
         return print_line(Settings::to_markdown(page == "expert").trim_end());
     }
     if matches.get_flag("commands") {
-        return print_line(super::reference::markdown().trim_end());
+        return print_line(super::reference::markdown(program).trim_end());
     }
     if let Some(adapter) = matches.get_one::<String>("kernels") {
         return kernels(adapter, matches.get_flag("json"));
@@ -74,7 +75,7 @@ pub fn doctor(matches: &ArgMatches) -> Result<(), Failure> {
         },
     ));
     let named = || std::env::var_os("SEGWILD_MODELS").filter(|named| !named.is_empty());
-    let models = path(matches, "models").or_else(|| named().map(PathBuf::from));
+    let models = path_of(matches, "models").or_else(|| named().map(PathBuf::from));
     match &models {
         None => {
             found.push(("networks", "no folder of models is given (`--models`, or SEGWILD_MODELS)".into()))

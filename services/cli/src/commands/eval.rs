@@ -1,8 +1,8 @@
 //! `segwild eval`
 
-use super::{path, print_json, print_line};
-use crate::args::{self, examples, json, selection};
+use crate::args::{self, examples, json, path_of, selection};
 use crate::failure::{Failure, plain};
+use crate::output::{print_json, print_line};
 use clap::{ArgMatches, Command};
 use segwild_pipeline::{HeldOut, RunFolder};
 
@@ -23,13 +23,13 @@ pub fn command() -> Command {
 
 /// Prints held-out scores, or scores a selection against true masks.
 pub fn eval(matches: &ArgMatches) -> Result<(), Failure> {
-    let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
+    let folder = RunFolder::open(&path_of(matches, "run").expect("clap requires it"))?;
     let json = matches.get_flag("json");
     let selection = matches.get_one::<String>("selection");
-    if let Some(truth) = path(matches, "transient-truth") {
+    if let Some(truth) = path_of(matches, "transient-truth") {
         return transients(&folder, &truth, json);
     }
-    let Some(truth) = path(matches, "truth") else {
+    let Some(truth) = path_of(matches, "truth") else {
         if let Some(name) = selection {
             return Err(Failure::usage(format!("scoring the selection `{name}` needs --truth FOLDER")));
         }

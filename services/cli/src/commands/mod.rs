@@ -1,85 +1,209 @@
-//! One module per command: its arguments in, a pipeline call, words out.
+//! The program as the list of its commands. Each has a module: its arguments, a pipeline call, words out.
 
-pub mod bake;
-pub mod batch;
-pub mod bench;
-pub mod cache;
-pub mod completions;
-pub mod demo;
-pub mod doctor;
-pub mod eval;
-pub mod objects;
+mod bake;
+mod batch;
+mod bench;
+mod cache;
+mod completions;
+mod demo;
+mod doctor;
+mod eval;
+mod objects;
 mod reference;
-pub mod render;
-pub mod run;
-pub mod segment;
-pub mod serve;
-pub mod status;
-pub mod top;
+mod render;
+mod run;
+mod segment;
+mod serve;
+mod status;
+mod top;
 
 use crate::failure::Failure;
-use clap::ArgMatches;
-use segwild_flow::files::name::{one_line, shown};
-use serde::Serialize;
-use std::borrow::Cow;
-use std::fmt::Write as _;
-use std::io::Write;
-use std::path::PathBuf;
+use clap::{Arg, ArgAction, ArgMatches, Command};
 
-/// A path argument.
-pub fn path(matches: &ArgMatches, name: &str) -> Option<PathBuf> {
-    matches.get_one::<PathBuf>(name).cloned()
+/// The whole program.
+pub fn program() -> Command {
+    let program = Command::new("segwild")
+        .version(env!("CARGO_PKG_VERSION"))
+        .about("From a pile of tourist photos to a 3D scene whose objects you can click")
+        .subcommand_required(true)
+        .arg_required_else_help(true)
+        .after_help(crate::exit::HELP)
+        .arg(
+            // For tests: what goes wrong where, as `segwild_flow::fault` reads it.
+            Arg::new("fault").long("fault").global(true).hide(true).action(ArgAction::Append),
+        )
+        .subcommands([
+            run::command(),
+            serve::command(),
+            segment::command(),
+            objects::command(),
+            render::command(),
+            bake::command(),
+            eval::command(),
+            batch::command(),
+            status::command(),
+            top::command(),
+            cache::command(),
+            demo::command(),
+            doctor::command(),
+            bench::command(),
+            completions::command(),
+            completions::man_command(),
+        ]);
+    with_help(program)
 }
 
-/// Prints a value as one line of JSON. A reader that has gone away is no error.
-pub fn print_json<T: Serialize>(value: &T) -> Result<(), Failure> {
-    let line = serde_json::to_string(value).map_err(std::io::Error::other)?;
-    print_raw(&in_ascii_where_odd(&line))
+/// Gives a command and those below it two helps: `--help` fits a screen, `--help-all` has the expert settings and every word
+/// on each flag.
+fn with_help(command: Command) -> Command {
+    let help = Arg::new("help").short('h').long("help").action(ArgAction::HelpShort).help("Print help");
+    let all = Arg::new("help-all")
+        .long("help-all")
+        .action(ArgAction::HelpLong)
+        .help("Print help with all settings, those for experts included");
+    command
+        .disable_help_flag(true)
+        .disable_help_subcommand(true)
+        .arg(help)
+        .arg(all)
+        .mut_subcommands(with_help)
 }
 
-/// JSON in which the signs that a terminal would obey are written as JSON writes them.
-fn in_ascii_where_odd(json: &str) -> String {
-    let mut out = String::with_capacity(json.len());
-    let mut units = [0; 2];
-    for c in json.chars() {
-        match one_line(c.encode_utf8(&mut [0; 4])) {
-            Cow::Borrowed(_) => out.push(c),
-            // Outside of strings JSON has no such signs.
-            Cow::Owned(_) => c.encode_utf16(&mut units).iter().for_each(|unit| {
-                let _ = write!(out, "\\u{unit:04x}");
-            }),
-        }
+/// Runs the command that a command line names.
+pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
+    match matches.subcommand() {
+        Some(("run", m)) => run::run(m),
+        Some(("serve", m)) => serve::serve(m),
+        Some(("segment", m)) => segment::segment(m),
+        Some(("objects", m)) => objects::objects(m),
+        Some(("render", m)) => render::render(m),
+        Some(("bake", m)) => bake::bake(m),
+        Some(("eval", m)) => eval::eval(m),
+        Some(("batch", m)) => batch::batch(m),
+        Some(("top", m)) => top::top(m),
+        Some(("status", m)) => status::status(m),
+        Some(("cache", m)) => cache::cache(m),
+        Some(("demo", m)) => demo::demo(m),
+        Some(("doctor", m)) => doctor::doctor(m, program()),
+        Some(("bench", m)) => bench::bench(m),
+        Some(("completions", m)) => completions::completions(m, program()),
+        Some(("man", m)) => completions::man(m, program()),
+        _ => unreachable!("clap requires one of the commands"),
     }
-    out
 }
 
-/// Prints a line on standard output, as it is safe to show: it may hold names that somebody else gave. A reader that has gone
-/// away is no error.
-pub fn print_line(line: &str) -> Result<(), Failure> {
-    print_raw(&shown(line))
-}
+/// Flags of earlier versions that are no settings: the command, the flag, and what it is called now.
+const RENAMED: [(&str, &str, &str); 13] = [
+    ("segment", "in", "positive"),
+    ("segment", "out", "negative"),
+    ("segment", "not", "negative"),
+    ("render", "look", "appearance"),
+    ("render", "object-look", "object-appearance"),
+    ("render", "between", "interpolate"),
+    ("bake", "look", "appearance"),
+    ("bake", "object-look", "object-appearance"),
+    ("bake", "between", "interpolate"),
+    ("eval", "strangers", "transient-truth"),
+    ("demo", "seed", "scene-seed"),
+    ("bench", "places", "scene-seeds"),
+    ("bench", "prompts", "clicks"),
+];
 
-fn print_raw(line: &str) -> Result<(), Failure> {
-    match writeln!(std::io::stdout(), "{line}") {
-        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
-        _ => Ok(()),
-    }
-}
-
-/// Uses so many compute threads; 0 for all cores.
-pub fn use_threads(threads: u32) {
-    // Refused only when the pool is there already, and then it serves.
-    let _ = rayon::ThreadPoolBuilder::new().num_threads(threads as usize).build_global();
+/// What a flag of an earlier version of a command is called now, without its dashes; `None` where the command has neither.
+pub fn renamed(command: &str, flag: &str) -> Option<String> {
+    let flag = flag.trim_start_matches('-').split('=').next().unwrap_or_default();
+    let own = RENAMED.iter().find(|(of, before, _)| *of == command && *before == flag);
+    let now = match own {
+        Some((_, _, now)) => (*now).to_owned(),
+        None => segwild_pipeline::renamed(flag)?.replace('_', "-"),
+    };
+    let has = |command: &Command| command.get_arguments().any(|arg| arg.get_long() == Some(&now));
+    let program = program();
+    let command = program.find_subcommand(command)?;
+    (has(command) || command.get_subcommands().any(has)).then_some(now)
 }
 
 #[cfg(test)]
 mod tests {
+    use super::*;
+    use segwild_pipeline::Settings;
+    use std::collections::BTreeMap;
+
     #[test]
-    fn json_stays_json_and_sends_nothing_to_the_terminal() {
-        let names = ["a\u{202e}b", "\u{9b}31m", "\u{e0041}", "\u{1b}[2J", "plain \u{e9}\u{1f5ff}"];
-        let written = super::in_ascii_where_odd(&serde_json::to_string(&names).unwrap());
-        assert!(!written.chars().any(|c| c.is_control()) && !written.contains('\u{202e}'), "{written:?}");
-        assert_eq!(serde_json::from_str::<Vec<String>>(&written).unwrap(), names);
-        assert!(written.contains("\u{e9}\u{1f5ff}"), "{written}");
+    fn the_command_line_is_consistent() {
+        program().debug_assert();
+    }
+
+    /// Every command with its path, those without commands below them.
+    fn commands(command: &Command, path: &str, all: &mut Vec<(String, Command)>) {
+        let path = format!("{path} {}", command.get_name());
+        if command.has_subcommands() {
+            command.get_subcommands().for_each(|inner| commands(inner, &path, all));
+        }
+        all.push((path, command.clone()));
+    }
+
+    fn all_commands() -> Vec<(String, Command)> {
+        let mut all = Vec::new();
+        commands(&program(), "", &mut all);
+        all
+    }
+
+    #[test]
+    fn the_help_of_every_command_fits_a_screen_and_ends_with_two_examples() {
+        for (path, command) in all_commands() {
+            if command.is_hide_set() || path == " segwild" {
+                continue;
+            }
+            let help = command.term_width(120).render_help().to_string();
+            let lines = help.lines().count();
+            assert!(lines <= 60, "{path}: {lines} lines\n{help}");
+            let (_, examples) = help.split_once("Examples:\n").unwrap_or_else(|| panic!("{path}: {help}"));
+            let commands = examples.lines().map(str::trim).filter(|line| line.starts_with("segwild "));
+            let commands: Vec<&str> = commands.map(|line| line.split(" > ").next().unwrap_or(line)).collect();
+            assert!(commands.len() >= 2, "{path}: {examples}");
+            for command in commands {
+                let parsed = program().try_get_matches_from(command.split(' '));
+                assert!(
+                    parsed.is_ok(),
+                    "{path}: `{command}`: {}",
+                    parsed.err().map_or_else(String::new, |e| e.to_string())
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_flag_has_one_meaning_whichever_command_has_it() {
+        let mut forms: BTreeMap<String, String> = BTreeMap::new();
+        let mut twice = Vec::new();
+        for (path, command) in all_commands() {
+            for arg in command.get_arguments().filter(|arg| arg.get_long().is_some() && !arg.is_hide_set()) {
+                let form = arg.get_value_names().map_or(String::new(), |names| names.join(" "));
+                // A benchmark measures at each number of a list.
+                let form = if form == "LIST" { "N".to_owned() } else { form };
+                let long = arg.get_long().unwrap_or_default().to_owned();
+                let first = forms.entry(long.clone()).or_insert_with(|| form.clone());
+                if *first != form {
+                    twice.push(format!("--{long} takes {first} and, in{path}, {form}"));
+                }
+            }
+        }
+        assert!(twice.is_empty(), "{twice:#?}");
+        assert!(forms.len() > 100, "{}", forms.len());
+    }
+
+    #[test]
+    fn the_short_help_leaves_expert_settings_to_the_long_one() {
+        let (_, mut run) =
+            all_commands().into_iter().find(|(path, _)| path == " segwild run").expect("it is there");
+        let (short, long) = (run.render_help().to_string(), run.render_long_help().to_string());
+        for (_, _, fields) in Settings::catalogue() {
+            for field in fields {
+                let flag = format!("--{} ", field.name.replace('_', "-"));
+                assert!(long.contains(&flag), "{flag}");
+                assert_eq!(short.contains(&flag), !field.expert, "{flag}");
+            }
+        }
     }
 }

@@ -1,8 +1,9 @@
 //! `segwild objects`
 
-use super::{path, print_json, print_line, use_threads};
-use crate::args::{self, examples, json};
+use crate::args::{self, examples, json, path_of};
 use crate::failure::Failure;
+use crate::operators::use_threads;
+use crate::output::{print_json, print_line};
 use crate::progress::stop_on_ctrl_c;
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use segwild_flow::Stopper;
@@ -41,7 +42,7 @@ pub fn command() -> Command {
 
 /// Lists, names and exports objects.
 pub fn objects(matches: &ArgMatches) -> Result<(), Failure> {
-    let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
+    let folder = RunFolder::open(&path_of(matches, "run").expect("clap requires it"))?;
     let renames: Vec<(&str, &str)> = matches
         .get_many::<String>("rename")
         .unwrap_or_default()
@@ -63,7 +64,7 @@ pub fn objects(matches: &ArgMatches) -> Result<(), Failure> {
     if !renames.is_empty() {
         listed.list.write(&folder)?;
     }
-    let exported = match path(matches, "out") {
+    let exported = match path_of(matches, "out") {
         Some(out) => {
             let appearance = matches.get_one::<String>("appearance").map_or("", String::as_str);
             Some(export_objects(&session, &listed, &out, appearance, &stopper)?)

@@ -1,12 +1,10 @@
 //! `docs/reference/cli.md`: every command with its own flags, made from the definition of the command line.
 
-use crate::args;
 use clap::{Arg, Command};
 use std::fmt::Write as _;
 
-/// The page.
-pub fn markdown() -> String {
-    let mut program = args::program();
+/// The page of a program.
+pub fn markdown(mut program: Command) -> String {
     program.build();
     let mut text = String::from(
         "# Commands\n\nEvery command with the flags of its own. Settings are flags as well, of `run`, `segment`, `eval`, `demo` and the \

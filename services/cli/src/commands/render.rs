@@ -1,8 +1,8 @@
 //! `segwild render`
 
-use super::{path, print_json, print_line};
-use crate::args::{self, appearances, choice, examples, json, selection};
+use crate::args::{self, appearances, choice, examples, json, path_of, selection};
 use crate::failure::Failure;
+use crate::output::{print_json, print_line};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_pipeline::{AppearanceRequest, Mode, RenderContent, RenderRequest, RunFolder};
 
@@ -50,7 +50,7 @@ pub fn command() -> Command {
 
 /// Renders views.
 pub fn render(matches: &ArgMatches) -> Result<(), Failure> {
-    let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
+    let folder = RunFolder::open(&path_of(matches, "run").expect("clap requires it"))?;
     let word = |name: &str| matches.get_one::<String>(name).cloned();
     let object_appearance = object_appearance(matches);
     let mode = match word("mode").as_deref() {
@@ -75,7 +75,7 @@ pub fn render(matches: &ArgMatches) -> Result<(), Failure> {
         selection: word("selection").map(|name| (name, mode)),
         what,
         width: matches.get_one::<u32>("width").copied(),
-        out: path(matches, "out"),
+        out: path_of(matches, "out"),
     };
     for rendered in segwild_pipeline::render(&folder, &request)? {
         if matches.get_flag("json") {

@@ -1,12 +1,12 @@
 //! `segwild run`
 
 use super::serve::{page_of_run, serve_args, stay};
-use super::{path, print_json, print_line, use_threads};
-use crate::args::{self, examples, flag, json, until, with_settings};
+use crate::args::{self, examples, flag, json, path_of, until, with_settings};
 use crate::failure::Failure;
 use crate::operators::{
-    child_args, have_files_to_open, keep_to_cores, listen, listen_args, stop_with_parent,
+    child_args, have_files_to_open, keep_to_cores, listen, listen_args, stop_with_parent, use_threads,
 };
+use crate::output::{print_json, print_line};
 use crate::progress::{duration, show, stop_on_ctrl_c};
 use clap::builder::PossibleValuesParser;
 use clap::{Arg, ArgMatches, Command, value_parser};
@@ -61,8 +61,8 @@ pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
     }
     keep_to_cores(matches)?;
     have_files_to_open()?;
-    let scene = path(matches, "scene").expect("clap requires it where no graph is to be printed");
-    let out = path(matches, "out").unwrap_or_else(|| default_folder(&scene));
+    let scene = path_of(matches, "scene").expect("clap requires it where no graph is to be printed");
+    let out = path_of(matches, "out").unwrap_or_else(|| default_folder(&scene));
     let mut settings = settings(matches, &RunFolder::at(&out))?;
     let json = matches.get_flag("json");
     let until = matches.get_one::<Until>("until").copied();
@@ -90,7 +90,8 @@ pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
 /// Those of the file that was named, which is the user's own, else those that the run folder remembers; flags over them.
 /// Where code is only the user says.
 fn settings(matches: &ArgMatches, folder: &RunFolder) -> Result<Settings, Failure> {
-    let (own, kept, flags) = (path(matches, "config"), folder.settings_file(), crate::args::given(matches));
+    let (own, kept, flags) =
+        (path_of(matches, "config"), folder.settings_file(), crate::args::given(matches));
     let mut settings = match own {
         None if kept.is_file() => Settings::recorded(&kept, &flags)?,
         own => Settings::layered(own.as_deref(), &flags)?,

@@ -1,8 +1,9 @@
 //! `segwild segment`
 
-use super::{path, print_json, print_line, use_threads};
-use crate::args::{self, examples, json, positions, with_fields, with_table};
+use crate::args::{self, examples, json, path_of, positions, with_fields, with_table};
 use crate::failure::Failure;
+use crate::operators::use_threads;
+use crate::output::{print_json, print_line};
 use crate::progress::{duration, stop_on_ctrl_c};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_flow::Stopper;
@@ -57,7 +58,7 @@ pub fn command() -> Command {
 
 /// Clicks to an object.
 pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
-    let folder = RunFolder::open(&path(matches, "run").expect("clap requires it"))?;
+    let folder = RunFolder::open(&path_of(matches, "run").expect("clap requires it"))?;
     let replay = replay(matches, &folder)?;
     let mut settings: Settings = folder.settings()?;
     // What the selection was made with, then what is asked for now.
@@ -109,7 +110,7 @@ type Given<'a> = (usize, &'static str, &'a String);
 
 /// The prompts on the command line, each on the photo named last before it, an object of the list, or what a file asks.
 fn replay(matches: &ArgMatches, folder: &RunFolder) -> Result<Replay, Failure> {
-    if let Some(file) = path(matches, "prompts") {
+    if let Some(file) = path_of(matches, "prompts") {
         return Ok(Replay::read(&file)?);
     }
     if let Some(object) = matches.get_one::<String>("object") {

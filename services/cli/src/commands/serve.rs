@@ -1,9 +1,9 @@
 //! `segwild serve`
 
-use super::{path, print_line};
-use crate::args::{self, examples, flag, number};
+use crate::args::{self, examples, flag, number, path_of};
 use crate::exit;
 use crate::failure::Failure;
+use crate::output::print_line;
 use crate::progress::on_ctrl_c;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_flow::{Phase, Stopper};
@@ -54,7 +54,7 @@ pub fn command() -> Command {
 
 /// Serves the page until it is stopped.
 pub fn serve(matches: &ArgMatches) -> Result<(), Failure> {
-    let folder = path(matches, "run").expect("clap requires it");
+    let folder = path_of(matches, "run").expect("clap requires it");
     if !folder.is_dir() {
         let message = format!(
             "{}: there is no such folder; `segwild run SCENE --out FOLDER` makes one",
@@ -139,7 +139,7 @@ fn on_loopback(folder: &Path, options: ServeOptions) -> Result<StudioServer, Ser
 fn page(folder: &Path, listen: Option<SocketAddr>, matches: &ArgMatches) -> Result<StudioServer, Failure> {
     let usual = SocketAddr::from((Ipv4Addr::LOCALHOST, PORT));
     let address = listen.unwrap_or(usual);
-    let token_file = path(matches, "token-file");
+    let token_file = path_of(matches, "token-file");
     if !address.ip().is_loopback() && token_file.is_none() && !matches.get_flag("insecure") {
         return Err(Failure::usage(format!(
             "--listen {address} lets other machines in: give --token-file FILE, or --insecure for a token that only this terminal \

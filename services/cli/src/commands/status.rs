@@ -1,7 +1,8 @@
 //! `segwild status`
 
-use super::{path, print_json, print_line};
+use crate::args::path_of;
 use crate::failure::Failure;
+use crate::output::{print_json, print_line};
 use crate::progress::duration;
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use segwild_monitor::view::{BatchView, RunView, Runs, SceneState, StageView};
@@ -32,7 +33,7 @@ pub fn command() -> Command {
 
 /// Says what a run or a batch has done and is doing, also while another process runs it.
 pub fn status(matches: &ArgMatches) -> Result<(), Failure> {
-    let target = MonitorTarget::at(&path(matches, "run").expect("clap requires it"))?;
+    let target = MonitorTarget::at(&path_of(matches, "run").expect("clap requires it"))?;
     // A channel that nobody sends to: waiting on it is waiting for the next sample.
     let (_never, next) = mpsc::channel::<()>();
     let mut runs = Runs::default();

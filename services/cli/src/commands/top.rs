@@ -1,7 +1,8 @@
 //! `segwild top`
 
-use super::{path, print_line};
+use crate::args::path_of;
 use crate::failure::Failure;
+use crate::output::print_line;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_monitor::{MonitorTarget, top as screen};
 use std::io::IsTerminal;
@@ -30,7 +31,7 @@ pub fn command() -> Command {
 
 /// Watches a run or a batch.
 pub fn top(matches: &ArgMatches) -> Result<(), Failure> {
-    let target = MonitorTarget::at(&path(matches, "run").expect("clap requires it"))?;
+    let target = MonitorTarget::at(&path_of(matches, "run").expect("clap requires it"))?;
     let number = |name: &str| *matches.get_one::<u16>(name).expect("it has a default");
     if matches.get_flag("once") {
         return print_line(&screen::frame(&target.view()?, number("columns"), number("rows")));

@@ -1,10 +1,11 @@
 //! `segwild bench chart`, and `segwild bench point`, which measures one of its points in a process of its own.
 
-use super::protocol_flags::{light, light_of, parts, parts_of, providers, providers_of};
-use super::{list, numbers};
-use crate::args::{examples, given, json, number, path, with_settings_in_long_help};
-use crate::commands::{path as path_of, print_json, print_line};
+use super::command_line::command_line;
+use super::scene_args::{light, light_of, parts, parts_of, providers, providers_of};
+use crate::args::{examples, given, json, list, number, numbers, path, path_of, with_settings_in_long_help};
 use crate::failure::{Failure, plain};
+use crate::operators::use_threads;
+use crate::output::{print_json, print_line};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::chart::{ChartBase, ChartEvent, ChartOptions, chart as measure_all, write};
 use segwild_bench::point::{PhotoSource, PointJob, measure};
@@ -106,7 +107,7 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
     }
     let options = ChartOptions {
         program: std::env::current_exe()?,
-        command: super::protocol_flags::command_line(),
+        command: command_line(),
         only: list(matches, "only"),
         seeds: numbers(matches, "seeds")?,
         base: ChartBase { sources, providers, faults: OracleOptions::default(), settings: given(matches) },
@@ -157,6 +158,6 @@ fn tell(event: &ChartEvent, json: bool) {
 pub fn point() -> Result<(), Failure> {
     let job: PointJob = serde_json::from_reader(std::io::stdin())
         .map_err(|e| Failure::usage(format!("the point cannot be read: {e}")))?;
-    crate::commands::use_threads(job.settings()?.run.threads);
+    use_threads(job.settings()?.run.threads);
     print_json(&measure(&job)?)
 }

@@ -1,10 +1,11 @@
 //! `segwild bench clicks`
 
-use super::protocol_flags::scenes_and_sizes;
-use super::numbers;
-use crate::args::{examples, flag, given, json, number, path, with_settings_in_long_help};
-use crate::commands::{path as path_of, print_json, print_line, use_threads};
+use super::command_line::command_line;
+use super::scene_args::scenes_and_sizes;
+use crate::args::{examples, flag, given, json, number, numbers, path, path_of, with_settings_in_long_help};
 use crate::failure::Failure;
+use crate::operators::use_threads;
+use crate::output::{print_json, print_line};
 use clap::{ArgMatches, Command, value_parser};
 use segwild_bench::random_clicks::{ClickOptions, random_clicks, write};
 use segwild_eval::record::Record;
@@ -45,7 +46,7 @@ pub fn clicks(matches: &ArgMatches) -> Result<(), Failure> {
         seed: *matches.get_one::<u64>("click-seed").expect("it has a default"),
         alternatives: matches.get_flag("alternatives"),
         out: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/clicks")),
-        command: super::protocol_flags::command_line(),
+        command: command_line(),
         settings,
     };
     let json = matches.get_flag("json");

@@ -1,9 +1,9 @@
 //! `segwild bench compare`
 
 use crate::args::json;
-use crate::commands::{print_json, print_line};
 use crate::exit;
 use crate::failure::Failure;
+use crate::output::{print_json, print_line};
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_eval::compare::{Change, CompareOptions, compare as compare_all, names_its_provider};
 use segwild_eval::record::Results;

@@ -1,9 +1,9 @@
 //! `segwild bench engine`
 
-use super::{list, numbers};
-use crate::args::{examples, json, path};
-use crate::commands::{path as path_of, print_json, print_line};
+use super::command_line::command_line;
+use crate::args::{examples, json, list, numbers, path, path_of};
 use crate::failure::Failure;
+use crate::output::{print_json, print_line};
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_bench::engine::{EngineOptions, Goal, engine as measure_all, write};
 use segwild_eval::record::Record;
@@ -72,7 +72,7 @@ pub fn engine(matches: &ArgMatches) -> Result<(), Failure> {
     let db: f32 = *matches.get_one("db").expect("it has a default");
     let dir = path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/engine"));
     let options = EngineOptions {
-        command: super::protocol_flags::command_line(),
+        command: command_line(),
         choice: matches
             .get_one::<String>("adapter")
             .cloned()

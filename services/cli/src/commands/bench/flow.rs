@@ -1,10 +1,9 @@
 //! `segwild bench flow`
 
-use super::protocol_flags::cannot_write;
-use super::{list, numbers};
-use crate::args::{examples, json, number, path};
-use crate::commands::{path as path_of, print_json, print_line};
+use super::command_line::command_line;
+use crate::args::{examples, json, list, number, numbers, path, path_of};
 use crate::failure::Failure;
+use crate::output::{print_json, print_line};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::flow::{FlowOptions, Row, measured, over, page};
 use segwild_eval::record::Provenance;
@@ -63,9 +62,9 @@ pub fn flow(matches: &ArgMatches) -> Result<(), Failure> {
     };
     let rows = segwild_bench::flow::flow(&options, report)?;
     if let Some(file) = path_of(matches, "page") {
-        let made = Provenance::here(super::protocol_flags::command_line());
+        let made = Provenance::here(command_line());
         segwild_flow::files::write_plain(&file, page(&measured(&options.dir), &made))
-            .map_err(|e| cannot_write(&file, &e))?;
+            .map_err(|e| Failure::cannot_write(&file, &e))?;
     }
     match over(&rows) {
         None => Ok(()),

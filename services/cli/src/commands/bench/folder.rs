@@ -1,9 +1,8 @@
 //! `segwild bench folder`
 
-use super::protocol_flags::{finish, flags, measure_scenes, parts, parts_of, table, with_common, with_table};
-use super::list;
-use crate::args::{examples, number};
-use crate::commands::path as path_of;
+use super::protocol_flags::{finish, flags, measure_scenes, table, with_common, with_table};
+use super::scene_args::{parts, parts_of};
+use crate::args::{examples, list, number, path_of};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_eval::protocols::folder::{FolderProtocol, scenes};

@@ -1,7 +1,8 @@
 //! `segwild bench lego`
 
-use super::protocol_flags::{default_setting, finish, flags, providers, providers_of, tell, with_common};
-use super::synthetic::{scene, with_scene};
+use super::protocol_flags::{default_setting, finish, flags, tell, with_common};
+use super::scene_args::{providers, providers_of};
+use super::scene_args::{scene_of, with_scene};
 use crate::args::examples;
 use crate::failure::Failure;
 use clap::{ArgMatches, Command};
@@ -28,7 +29,7 @@ pub fn lego(matches: &ArgMatches) -> Result<(), Failure> {
     let options = LegoProtocol {
         only: flags.only.clone(),
         seeds: flags.seeds.clone(),
-        scene: scene(matches),
+        scene: scene_of(matches),
         providers: providers_of(matches),
         base: flags.base.clone(),
     };

@@ -3,6 +3,7 @@
 
 mod chart;
 mod clicks;
+mod command_line;
 mod compare;
 mod engine;
 mod flow;
@@ -12,6 +13,7 @@ mod photo_tourism;
 mod protocol_flags;
 mod reconstruction;
 mod scale;
+mod scene_args;
 mod scribbles;
 mod slice;
 mod stability;
@@ -21,7 +23,6 @@ mod tables;
 
 use crate::failure::Failure;
 use clap::{ArgMatches, Command};
-use std::str::FromStr;
 
 /// The command's arguments. Without the name of a benchmark it is `synthetic`.
 pub fn command() -> Command {
@@ -74,19 +75,4 @@ pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
         Some(("engine", m)) => engine::engine(m),
         _ => synthetic::synthetic(matches),
     }
-}
-
-/// The words of a flag that takes several, with commas between them.
-fn list(matches: &ArgMatches, name: &str) -> Vec<String> {
-    let text = matches.get_one::<String>(name).map_or("", String::as_str);
-    text.split(',').map(str::trim).filter(|t| !t.is_empty()).map(str::to_owned).collect()
-}
-
-/// The whole numbers of a flag that takes several, with commas between them.
-fn numbers<T: FromStr>(matches: &ArgMatches, name: &str) -> Result<Vec<T>, Failure> {
-    let read = |text: String| {
-        text.parse()
-            .map_err(|_| Failure::usage(format!("--{name} {text}: expected whole numbers with commas")))
-    };
-    list(matches, name).into_iter().map(read).collect()
 }

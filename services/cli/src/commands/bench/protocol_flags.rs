@@ -1,37 +1,16 @@
 //! What the protocols have in common: rows, seeds, where results go, and how they are printed.
 
-use super::{list, numbers};
-use crate::args::{given, json, path, with_settings_in_long_help};
-use crate::commands::{path as path_of, print_json, print_line, use_threads};
-use crate::exit;
+use super::command_line::command_line;
+use crate::args::{given, json, list, numbers, path, path_of, with_settings_in_long_help};
 use crate::failure::Failure;
-use clap::builder::{PossibleValue, PossibleValuesParser};
-use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
-use segwild_bench::page::PageError;
-use segwild_bench::point::PointError;
-use segwild_eval::protocols::folder::{Parts, read_parts};
+use crate::operators::use_threads;
+use crate::output::{print_json, print_line};
+use clap::{Arg, ArgAction, ArgMatches, Command};
 use segwild_eval::protocols::tables::{all, page};
 use segwild_eval::protocols::{FoundScenes, ProtocolBase, ProtocolError, Table, measure};
 use segwild_eval::record::{Provenance, Record, Results};
-use segwild_eval::trial::ProviderKind;
-use segwild_gpu::GpuError;
 use segwild_pipeline::{Settings, SettingsError};
-use segwild_scene::settings::Value;
-use segwild_synthetic::LightVariation;
-use std::path::{Path, PathBuf};
-
-/// The arguments of a benchmark that trains scenes by itself: their folders, and `--sizes`.
-pub fn scenes_and_sizes(scenes: &'static str) -> [Arg; 2] {
-    let folders = Arg::new("scenes").value_name("SCENE").num_args(1..).required(true);
-    [
-        folders.value_parser(value_parser!(PathBuf)).help(scenes),
-        Arg::new("sizes")
-            .long("sizes")
-            .value_name("LIST")
-            .default_value("320")
-            .help("Long sides of the photos in pixels, with commas"),
-    ]
-}
+use std::path::PathBuf;
 
 /// Adds the flags that every protocol has: those of all settings, `--seeds`, `--only`, `--out`, `--page`, `--json`.
 pub fn with_common(command: Command, seeds: &'static str, folder: &'static str) -> Command {
@@ -64,55 +43,6 @@ pub fn with_common(command: Command, seeds: &'static str, folder: &'static str) 
         )
         .arg(path("page", "Write the tables to this file, with what made them"))
         .arg(json())
-}
-
-/// `--light` of synthetic scenes.
-pub fn light() -> Arg {
-    Arg::new("light")
-        .long("light")
-        .value_parser(PossibleValuesParser::new(LightVariation::CHOICES))
-        .default_value("mixed")
-        .help("What differs from photo to photo of a synthetic scene")
-}
-
-/// What [`light`] was given.
-pub fn light_of(matches: &ArgMatches) -> Result<LightVariation, Failure> {
-    LightVariation::read(matches.get_one::<String>("light").expect("it has a default"))
-        .map_err(Failure::usage)
-}
-
-/// `--providers` of synthetic scenes.
-pub fn providers() -> Arg {
-    let choices = [
-        PossibleValue::new("builtin")
-            .alias("built-in")
-            .help("What the settings name, as a user has it: the built-in provider, or networks"),
-        PossibleValue::new("oracle")
-            .help("The truth with faults: tests the 3D part alone, and no user has it"),
-    ];
-    Arg::new("providers")
-        .long("providers")
-        .value_parser(PossibleValuesParser::new(choices))
-        .default_value("builtin")
-        .help("Who makes the masks of synthetic photos")
-}
-
-/// What [`providers`] was given.
-pub fn providers_of(matches: &ArgMatches) -> ProviderKind {
-    match matches.get_one::<String>("providers").map(String::as_str) {
-        Some("oracle") => ProviderKind::Oracle,
-        _ => ProviderKind::Builtin,
-    }
-}
-
-/// `--parts` of an object on given photos.
-pub fn parts() -> Arg {
-    path("parts", "JSON file of the rows at which an object's parts meet, by photo: one click into each part")
-}
-
-/// What [`parts`] was given; none otherwise.
-pub fn parts_of(matches: &ArgMatches) -> Result<Parts, ProtocolError> {
-    path_of(matches, "parts").map_or_else(|| Ok(Parts::new()), |file| read_parts(&file))
 }
 
 /// Adds `--table`.
@@ -164,7 +94,7 @@ pub fn flags(matches: &ArgMatches, folder: &str) -> Result<ProtocolFlags, Failur
         Settings::default().set(name, value).map_err(SettingsError::from)?;
         changes.push((name.to_owned(), value.to_owned()));
     }
-    std::fs::create_dir_all(&out).map_err(|e| cannot_write(&out, &e))?;
+    std::fs::create_dir_all(&out).map_err(|e| Failure::cannot_write(&out, &e))?;
     let mut results = Results { made: Provenance::here(command_line()), ..Results::default() };
     let (file, photos) = (out.join("results.json"), out.join("photos.jsonl"));
     if matches.get_flag("keep") && file.is_file() {
@@ -175,7 +105,7 @@ pub fn flags(matches: &ArgMatches, folder: &str) -> Result<ProtocolFlags, Failur
         }
         (results.records, results.missing) = (before.records, before.missing);
     } else if photos.is_file() {
-        std::fs::remove_file(&photos).map_err(|e| cannot_write(&photos, &e))?;
+        std::fs::remove_file(&photos).map_err(|e| Failure::cannot_write(&photos, &e))?;
     }
     Ok(ProtocolFlags {
         out,
@@ -186,27 +116,6 @@ pub fn flags(matches: &ArgMatches, folder: &str) -> Result<ProtocolFlags, Failur
         json: matches.get_flag("json"),
         page: path_of(matches, "page"),
     })
-}
-
-/// The command as it was given, without the folder of the program and what only says where the output goes.
-pub fn command_line() -> String {
-    let mut words = vec!["segwild".to_owned()];
-    let mut given = std::env::args().skip(1);
-    while let Some(word) = given.next() {
-        if word == "--out" || word == "--page" {
-            given.next();
-        } else if !["--out=", "--page="].iter().any(|p| word.starts_with(p))
-            && word != "--json"
-            && word != "--keep"
-        {
-            words.push(word);
-        }
-    }
-    words.join(" ")
-}
-
-pub fn cannot_write(file: &Path, error: &std::io::Error) -> Failure {
-    Failure { message: format!("cannot write {}: {error}", file.display()), code: exit::of_system(error) }
 }
 
 /// Prints a measurement.
@@ -230,7 +139,7 @@ pub fn tell(json: bool) -> impl FnMut(&Record) {
 pub fn finish(flags: &ProtocolFlags, title: &str) -> Result<(), Failure> {
     if let Some(file) = &flags.page {
         let text = page(title, std::slice::from_ref(&flags.results));
-        segwild_flow::files::write_plain(file, text).map_err(|e| cannot_write(file, &e))?;
+        segwild_flow::files::write_plain(file, text).map_err(|e| Failure::cannot_write(file, &e))?;
     }
     if flags.json {
         return Ok(());
@@ -276,36 +185,4 @@ pub fn default_setting(
         flags.base.settings.set(name, value).map_err(SettingsError::from)?;
     }
     Ok(())
-}
-
-impl From<PointError> for Failure {
-    fn from(error: PointError) -> Failure {
-        match error {
-            PointError::Trial(e) => e.into(),
-            PointError::NoTruth(_) => Failure { message: error.to_string(), code: exit::INPUT },
-            PointError::Child(_) => Failure { message: error.to_string(), code: exit::FAILED },
-        }
-    }
-}
-
-impl From<PageError> for Failure {
-    fn from(error: PageError) -> Failure {
-        match error {
-            PageError::Settings(e) => e.into(),
-            PageError::Point(e) => e.into(),
-            PageError::Protocol(e) => e.into(),
-            PageError::Unknown { .. } | PageError::Gpu(GpuError::NoAdapter(_)) => {
-                Failure::usage(error.to_string())
-            }
-            PageError::Other(_) | PageError::Record(_) => {
-                Failure { message: error.to_string(), code: exit::FOLDER }
-            }
-            PageError::Io { ref source, .. } => {
-                Failure { message: error.to_string(), code: exit::of_system(source) }
-            }
-            PageError::Plot(_) | PageError::Raster(_) | PageError::Gpu(_) => {
-                Failure { message: error.to_string(), code: exit::FAILED }
-            }
-        }
-    }
 }

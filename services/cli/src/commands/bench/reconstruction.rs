@@ -1,10 +1,11 @@
 //! `segwild bench reconstruction`
 
-use super::protocol_flags::scenes_and_sizes;
-use super::numbers;
-use crate::args::{examples, given, json, path, with_settings_in_long_help};
-use crate::commands::{path as path_of, print_json, print_line, use_threads};
+use super::command_line::command_line;
+use super::scene_args::scenes_and_sizes;
+use crate::args::{examples, given, json, numbers, path, path_of, with_settings_in_long_help};
 use crate::failure::Failure;
+use crate::operators::use_threads;
+use crate::output::{print_json, print_line};
 use clap::{Arg, ArgMatches, Command};
 use segwild_bench::reconstruction::{ReconstructionOptions, reconstruction as measure_all, write};
 use segwild_eval::record::Record;
@@ -42,7 +43,7 @@ pub fn reconstruction(matches: &ArgMatches) -> Result<(), Failure> {
         sizes: numbers(matches, "sizes")?,
         seeds: numbers(matches, "seeds")?,
         out: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/reconstruction")),
-        command: super::protocol_flags::command_line(),
+        command: command_line(),
         settings,
     };
     let json = matches.get_flag("json");

@@ -1,9 +1,9 @@
 //! `segwild bench scale`
 
-use super::{list, numbers};
-use crate::args::{examples, json, path};
-use crate::commands::{path as path_of, print_json, print_line};
+use super::command_line::command_line;
+use crate::args::{examples, json, list, numbers, path, path_of};
 use crate::failure::Failure;
+use crate::output::{print_json, print_line};
 use clap::{Arg, ArgMatches, Command};
 use segwild_bench::scale::{AXES, Fit, ScaleOptions, along, scale as measure_all, write};
 use segwild_eval::record::Record;
@@ -39,7 +39,7 @@ pub fn scale(matches: &ArgMatches) -> Result<(), Failure> {
     let options = ScaleOptions {
         out: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/scale")),
         program: std::env::current_exe()?,
-        command: super::protocol_flags::command_line(),
+        command: command_line(),
         only: list(matches, "only"),
         kernel_splats: numbers(matches, "kernel-splats")?,
         kernel_pixels: numbers(matches, "kernel-pixels")?,

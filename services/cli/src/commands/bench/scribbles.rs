@@ -1,9 +1,7 @@
 //! `segwild bench nvos` and `segwild bench spin-nerf`: other people's annotations of forward-facing scenes.
 
 use super::protocol_flags::{finish, flags, measure_scenes, table, with_common, with_table};
-use super::list;
-use crate::args::{examples, number};
-use crate::commands::path as path_of;
+use crate::args::{examples, list, number, path_of};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_eval::protocols::{nvos, spin_nerf};

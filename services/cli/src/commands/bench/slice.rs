@@ -1,9 +1,11 @@
 //! `segwild bench slice`
 
-use crate::args::{examples, given, path, with_settings_in_long_help};
-use crate::commands::{path as path_of, print_line, use_threads};
+use super::command_line::command_line;
+use crate::args::{examples, given, path, path_of, with_settings_in_long_help};
 use crate::exit;
 use crate::failure::Failure;
+use crate::operators::use_threads;
+use crate::output::print_line;
 use clap::{ArgMatches, Command};
 use segwild_bench::slice::slice as measure;
 use segwild_pipeline::Settings;
@@ -26,7 +28,7 @@ pub fn slice(matches: &ArgMatches) -> Result<(), Failure> {
     let changes = given(matches);
     use_threads(Settings::layered(None, &changes)?.run.threads);
     let folder = file.with_extension("runs");
-    let results = measure(&folder, &changes, super::protocol_flags::command_line())?;
+    let results = measure(&folder, &changes, command_line())?;
     let _ = std::fs::remove_dir_all(&folder);
     results.write(&file).map_err(|e| Failure { message: e.to_string(), code: exit::FOLDER })?;
     print_line(&format!("{} records: {}", results.records.len(), file.display()))

@@ -1,10 +1,11 @@
 //! `segwild bench stability`
 
-use super::protocol_flags::{providers, providers_of};
-use super::{list, numbers};
-use crate::args::{examples, given, json, number, path, with_settings_in_long_help};
-use crate::commands::{path as path_of, print_json, print_line, use_threads};
+use super::command_line::command_line;
+use super::scene_args::{providers, providers_of};
+use crate::args::{examples, given, json, list, number, numbers, path, path_of, with_settings_in_long_help};
 use crate::failure::Failure;
+use crate::operators::use_threads;
+use crate::output::{print_json, print_line};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::stability::{StabilityOptions, curves, defaults, stability as measure_all, write};
 use segwild_eval::record::{Record, means};
@@ -54,7 +55,7 @@ pub fn stability(matches: &ArgMatches) -> Result<(), Failure> {
     let photos = of("photos") as usize;
     let options = StabilityOptions {
         out: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/stability")),
-        command: super::protocol_flags::command_line(),
+        command: command_line(),
         only: list(matches, "only"),
         seeds: numbers(matches, "seeds")?,
         providers: providers_of(matches),

@@ -1,9 +1,10 @@
 //! `segwild bench studio`: what a person waits for on the page.
 
-use crate::args::{examples, path};
-use crate::commands::{path as path_of, print_line};
+use super::command_line::command_line;
+use crate::args::{examples, path, path_of};
 use crate::exit;
 use crate::failure::Failure;
+use crate::output::print_line;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_eval::record::Provenance;
 use segwild_eval::stamp;
@@ -57,7 +58,7 @@ pub fn studio(matches: &ArgMatches) -> Result<(), Failure> {
     for run in &runs {
         rows += &StudioFigures::measure(run)?.row(run);
     }
-    let made = Provenance::here(super::protocol_flags::command_line());
+    let made = Provenance::here(command_line());
     let text = format!(
         "# What a person waits for on the page (built-in)\n\nThis page is generated. {}\n\nTimes are those of requests to a server in the same \
          process, over HTTP, without a browser: median, and in brackets the slowest. *Hover*: the candidate under the pointer, in photos that \

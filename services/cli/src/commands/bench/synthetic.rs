@@ -1,8 +1,7 @@
 //! `segwild bench synthetic`
 
-use super::protocol_flags::{
-    finish, flags, light, light_of, providers, providers_of, table, tell, with_common, with_table,
-};
+use super::protocol_flags::{finish, flags, table, tell, with_common, with_table};
+use super::scene_args::{light, light_of, providers, providers_of, scene_of, with_scene};
 use crate::args::{examples, number};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
@@ -57,25 +56,6 @@ pub fn with_args(command: Command) -> Command {
         )
 }
 
-/// Adds what a synthetic scene is made of.
-pub fn with_scene(command: Command, photos: &'static str, pixels: &'static str) -> Command {
-    command
-        .arg(number("photos", photos, "Training photos of each scene").value_parser(value_parser!(u32)))
-        .arg(number("pixels", pixels, "Long side of the photos").value_parser(value_parser!(u32)))
-}
-
-/// The scene that was asked for, but for its seed.
-pub fn scene(matches: &ArgMatches) -> SyntheticOptions {
-    let number = |name: &str| *matches.get_one::<u32>(name).expect("it has a default");
-    let photos = number("photos") as usize;
-    SyntheticOptions {
-        train: photos,
-        test: photos.div_ceil(5),
-        long_side: number("pixels"),
-        ..SyntheticOptions::default()
-    }
-}
-
 /// Prints the tables.
 pub fn synthetic(matches: &ArgMatches) -> Result<(), Failure> {
     let mut flags = flags(matches, ".bench")?;
@@ -93,7 +73,7 @@ pub fn synthetic(matches: &ArgMatches) -> Result<(), Failure> {
             occlusion: number("occlusion"),
             photo_light: light_of(matches)?,
             units: *matches.get_one::<f64>("units").expect("it has a default"),
-            ..scene(matches)
+            ..scene_of(matches)
         },
         base: flags.base.clone(),
     };

@@ -1,9 +1,8 @@
 //! `segwild bench tables`
 
-use super::protocol_flags::cannot_write;
-use crate::args::{examples, path};
-use crate::commands::{path as path_of, print_line};
+use crate::args::{examples, path, path_of};
 use crate::failure::Failure;
+use crate::output::print_line;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_eval::protocols::ProtocolError;
 use segwild_eval::protocols::tables::page;
@@ -42,7 +41,9 @@ pub fn tables(matches: &ArgMatches) -> Result<(), Failure> {
         files.map(|file| Results::read(file).map_err(ProtocolError::from)).collect::<Result<_, _>>()?;
     let text = page(matches.get_one::<String>("title").expect("it has a default"), &sets);
     match path_of(matches, "page") {
-        Some(file) => segwild_flow::files::write_plain(&file, text).map_err(|e| cannot_write(&file, &e)),
+        Some(file) => {
+            segwild_flow::files::write_plain(&file, text).map_err(|e| Failure::cannot_write(&file, &e))
+        }
         None => print_line(text.trim_end()),
     }
 }
