@@ -5,6 +5,9 @@ use crate::spread::{Belief, spread};
 use crate::{ClickHit, Evidence, NeighbourGraph, components};
 use segwild_scene::Splats;
 
+/// Steps that labels are carried along the graph before anything is decided.
+pub(crate) const STEPS: u32 = 64;
+
 /// Evidence, in views, that makes a splat half known.
 const HALF_KNOWN: f32 = 0.2;
 

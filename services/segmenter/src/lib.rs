@@ -17,9 +17,11 @@ mod maxflow;
 mod multi_view_cut;
 mod object;
 mod occlusion;
+mod photo_evidence;
 mod propagate;
 mod query;
 mod refiner;
+mod request;
 pub mod scene_tree;
 mod screen;
 mod select;
@@ -42,7 +44,8 @@ pub use object::{MaskMode, SelectedObject, amodal_mask, cut_scene, owned, visibl
 pub use propagate::{PhotoVerdict, PhotoVisit};
 pub use query::{ClickHit, SplatFeatures, SplatFeatures as FeatureField, hit};
 pub use refiner::Refiner;
-pub use select::{MaskReader, PosedView, PromptedView, Request, Selection, cut, select};
+pub use request::{MaskReader, PosedView, PromptedView, Request};
+pub use select::{Selection, cut, select};
 pub use settings::{
     ComponentRule, CutBy, EvidenceMode, FirstAnswer, SegmentSettings, SimilarityUse, SpikeMode, Undecided,
     Vote,

@@ -2,8 +2,9 @@
 //! the rendered prior, and its evidence decides splats that no prompted photo sees.
 
 use crate::coverage::{clean, soft, unoccluded, visible};
-use crate::label_fusion::{FusionState, LEAST_HINT, LabelFusion, sure};
-use crate::select::{STEPS, project, view_evidence, working_camera};
+use crate::label_fusion::{FusionState, LEAST_HINT, LabelFusion, STEPS, sure};
+use crate::photo_evidence::view_evidence;
+use crate::request::{project, working_camera};
 use crate::spread::Belief;
 use crate::steps::{AnswerStep, PUBLISHED_AFTER};
 use crate::{Evidence, Refiner, Request, SegmentError, SegmentSettings};

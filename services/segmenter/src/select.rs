@@ -1,126 +1,27 @@
 //! Prompts to labels on splats (method, section 6).
 
-use crate::coverage::{centre, coverage, soft, unoccluded, visible};
-use crate::depth_layers;
+use crate::coverage::{unoccluded, visible};
 use crate::feature_clusters::cluster_features;
-use crate::label_fusion::{FusionState, LabelFusion, Similarities};
-use crate::occlusion;
-use crate::settings::{ComponentRule, CutBy, EvidenceMode, SegmentSettings, SimilarityUse};
-use crate::steps::{AnswerStep, AnswerSteps};
+use crate::label_fusion::{FusionState, LabelFusion, STEPS, Similarities};
+use crate::photo_evidence::prompted_evidence;
+use crate::request::{PromptedView, Request, project, view, working_camera};
+use crate::settings::{ComponentRule, CutBy, SimilarityUse};
+use crate::steps::AnswerStep;
 use crate::{
     ClickHit, CutView, Evidence, MaskVote, NeighbourGraph, PhotoVisit, Refiner, SegmentError, SpikeCut,
     SplatFeatures, components, propagate, smooth,
 };
 use glam::Vec2;
-use segwild_objective::FieldBackend;
-use segwild_raster::{ProjectOptions, Projected, Rasterizer};
-use segwild_scene::{Camera, Image, Mask, PointPrompt, Pose, Splats, View};
 
 /// Accumulated alpha under which a click counts as on nothing.
 const CLICK_ALPHA: f32 = 0.1;
 
-/// Steps that labels are carried along the graph before anything is decided.
-pub(crate) const STEPS: u32 = 64;
-
 /// IoU with the prompted masks under which a selection that was carried to other photos has drifted to another object.
 const ELSEWHERE: f32 = 0.25;
-
-/// Weight of a pixel outside of the prompted mask that is as likely part of the object as not.
-const LEAST_WEIGHT: f32 = 0.1;
-
-/// Factor on how much is known by a prompted photo against one that was only refined: where its mask leaves nothing open, no
-/// other photo may treat as unknown what it puts outside, however little it sees of any splat there.
-const POINTED: f32 = 4.0;
 
 /// Share of a splat's evidence that must lie inside, and views in which it must be known, for it to count as astride
 /// the outline.
 const ASTRIDE: (f32, f32) = (0.2, 0.2);
-
-/// A camera where it stood.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PosedView {
-    /// The photo's name, for messages.
-    pub name: String,
-    /// Intrinsics at the size in which clicks are given.
-    pub camera: Camera,
-    /// World to camera.
-    pub pose: Pose,
-}
-
-impl From<&View> for PosedView {
-    fn from(view: &View) -> PosedView {
-        PosedView { name: view.name.clone(), camera: view.camera, pose: view.pose }
-    }
-}
-
-/// The prompts on one photo and their mask.
-#[derive(Clone, Copy, Debug)]
-pub struct PromptedView<'a> {
-    /// Index into [`Request::views`].
-    pub view: usize,
-    /// The mask of the prompts, at any size that covers the photo edge to edge.
-    pub mask: &'a Mask,
-    /// How likely each pixel is part of the object although the mask leaves it out: one plane in [0, 1] over the photo edge
-    /// to edge. `None` where the mask is certain.
-    pub open: Option<&'a Image>,
-    /// Whether the mask is of a refused thing: all prompts on this photo are negative. Such a mask holds no evidence about
-    /// what lies outside it.
-    pub refused: bool,
-    /// The clicks, in pixels of the view's camera; may be empty (a box or a mask was the prompt).
-    pub points: &'a [PointPrompt],
-}
-
-/// Reads a mask of a view, its sky or its transients, at any size that covers the photo edge to edge; `None` where it is not
-/// known.
-pub type MaskReader = dyn Fn(usize) -> Option<Mask> + Send + Sync;
-
-/// Everything a selection is made from.
-#[derive(Clone, Copy)]
-pub struct Request<'a> {
-    /// The rasteriser.
-    pub rasterizer: &'a dyn Rasterizer,
-    /// Compares features on the device that has them.
-    pub backend: &'a dyn FieldBackend,
-    /// How it projects.
-    pub options: ProjectOptions,
-    /// The scene.
-    pub splats: &'a Splats,
-    /// The photos' cameras: the prompted ones, and those that a selection is carried to.
-    pub views: &'a [PosedView],
-    /// The prompted photos; at least one.
-    pub prompts: &'a [PromptedView<'a>],
-    /// What is known of the splats before any photo is asked, if the scene tree was.
-    pub prior: Option<&'a Evidence>,
-    /// One feature vector per splat, if there is a field.
-    pub features: Option<&'a SplatFeatures>,
-    /// The neighbour graph of the splats, if it is at hand; made otherwise.
-    pub graph: Option<&'a NeighbourGraph>,
-    /// Splats that can never be selected, such as the sky; one flag per splat.
-    pub frozen: Option<&'a [bool]>,
-    /// Reads the skies of the views, if there are any.
-    pub skies: Option<&'a MaskReader>,
-    /// Reads the transient masks of the views, if there are any.
-    pub transients: Option<&'a MaskReader>,
-    /// Follows the selection while it is made, if somebody does.
-    pub steps: Option<&'a dyn AnswerSteps>,
-    /// The settings of this selection.
-    pub settings: &'a SegmentSettings,
-}
-
-impl Request<'_> {
-    /// The transient mask of a view; `None` where there is none.
-    pub(crate) fn transients_in(&self, view: usize) -> Option<Mask> {
-        self.transients.and_then(|read| read(view))
-    }
-
-    /// An error once nobody waits for the selection any more.
-    pub(crate) fn wanted(&self) -> Result<(), SegmentError> {
-        match self.steps.is_some_and(AnswerSteps::cancelled) {
-            true => Err(SegmentError::Cancelled),
-            false => Ok(()),
-        }
-    }
-}
 
 /// A selection.
 #[derive(Clone, Debug, PartialEq)]
@@ -144,7 +45,7 @@ pub struct Selection {
 }
 
 /// Selects the splats of the prompted object. With a `refiner`, the selection is carried to all other views and back
-/// ([`SegmentSettings::propagate`]).
+/// ([`crate::SegmentSettings::propagate`]).
 pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Selection, SegmentError> {
     check(request)?;
     let (settings, splats) = (request.settings, request.splats);
@@ -273,7 +174,7 @@ fn decide(
 }
 
 /// The spike cut of a selection (method, section 7) by the masks of the photos that took part, or of the prompted
-/// ones alone ([`SegmentSettings::cut_by`]). A photo cuts only the splats that it sees.
+/// ones alone ([`crate::SegmentSettings::cut_by`]). A photo cuts only the splats that it sees.
 pub fn cut(request: &Request, selection: &Selection) -> Result<SpikeCut, SegmentError> {
     let accepted = || selection.visits.iter().filter_map(|v| Some((v, v.mask.as_ref()?)));
     if request.settings.cut_by == CutBy::PhotoRefiner && accepted().next().is_some() {
@@ -379,10 +280,6 @@ fn check(request: &Request) -> Result<(), SegmentError> {
     Ok(())
 }
 
-fn view<'a>(request: &Request<'a>, index: usize) -> Result<&'a PosedView, SegmentError> {
-    request.views.get(index).ok_or(SegmentError::NoView { view: index, views: request.views.len() })
-}
-
 /// The splats that the positive and the negative clicks hit. A positive click must hit something selectable; a
 /// negative one on nothing is ignored.
 pub(crate) fn hits(request: &Request) -> Result<(Vec<ClickHit>, Vec<ClickHit>), SegmentError> {
@@ -468,82 +365,4 @@ fn similarities(
             Some(field.similarity(request.backend, &refusals, temperature)?)
         },
     }))
-}
-
-/// The camera at which a view's evidence is taken: the mask's size, or the photo's, but not over
-/// [`SegmentSettings::evidence_size`].
-pub(crate) fn working_camera(request: &Request, view: &PosedView, mask: Option<&Mask>) -> Camera {
-    let camera = mask.map_or(view.camera, |m| view.camera.resized(m.width(), m.height()));
-    match request.settings.evidence_size {
-        0 => camera,
-        size => camera.scaled_to(size),
-    }
-}
-
-pub(crate) fn project<'a>(
-    request: &Request<'a>,
-    view: &PosedView,
-    camera: &Camera,
-) -> Result<Box<dyn Projected + 'a>, SegmentError> {
-    request
-        .rasterizer
-        .project(request.splats, camera, &view.pose, &request.options)
-        .map_err(SegmentError::raster(&view.name))
-}
-
-fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Result<Evidence, SegmentError> {
-    let view = view(request, prompt.view)?;
-    let camera = working_camera(request, view, Some(prompt.mask));
-    let projected = project(request, view, &camera)?;
-    if prompt.refused {
-        let (nothing, weights) = (Mask::empty(1, 1), soft(prompt.mask, camera.width, camera.height));
-        return view_evidence(request, &*projected, view, &camera, &nothing, &weights);
-    }
-    let mut weights = vec![1.0; camera.width as usize * camera.height as usize];
-    if let Some(open) = prompt.open {
-        // The inside of the mask was prompted; where it ends is a guess. A pixel that is as likely part of the object as not
-        // has little weight.
-        let open = open.resized(camera.width as usize, camera.height as usize);
-        for (weight, chance) in weights.iter_mut().zip(open.plane(0)) {
-            let certainty = 1.0 - 2.0 * chance;
-            *weight = if certainty.is_nan() { 1.0 } else { certainty.clamp(LEAST_WEIGHT, 1.0) };
-        }
-    }
-    let inside = soft(prompt.mask, camera.width, camera.height);
-    let transients = request.transients_in(prompt.view);
-    let pixel_visibility = occlusion::pixel_visibility(&inside, transients.as_ref(), None, &camera);
-    weights.iter_mut().zip(&pixel_visibility).for_each(|(weight, visible)| *weight *= visible);
-    let mut evidence = view_evidence(request, &*projected, view, &camera, prompt.mask, &weights)?;
-    if request.settings.evidence_mode == EvidenceMode::Coverage {
-        depth_layers::discount_background(&mut evidence, &*projected, prompt, inside, &view.camera, &camera)
-            .map_err(SegmentError::raster(&view.name))?;
-        evidence.known.iter_mut().for_each(|known| *known *= POINTED);
-    }
-    Ok(evidence)
-}
-
-/// The evidence of one view's mask, by the mode of the settings. `weights`: one number in [0, 1] per pixel.
-pub(crate) fn view_evidence(
-    request: &Request,
-    projected: &dyn Projected,
-    view: &PosedView,
-    camera: &Camera,
-    mask: &Mask,
-    weights: &[f32],
-) -> Result<Evidence, SegmentError> {
-    let (settings, size) = (request.settings, (camera.width, camera.height));
-    let whole = || unoccluded(request.splats, camera, &view.pose, &request.options);
-    match settings.evidence_mode {
-        EvidenceMode::Coverage => {
-            let mut inside = soft(mask, size.0, size.1);
-            inside.iter_mut().zip(weights).for_each(|(inside, weight)| *inside *= weight);
-            coverage(projected, &whole(), &inside, weights, size, settings.seen, settings.vote)
-                .map_err(SegmentError::raster(&view.name))
-        }
-        EvidenceMode::Centre => {
-            let seen = settings.centre_visible.then(|| visible(projected, &whole(), size, settings.seen));
-            let seen = seen.transpose().map_err(SegmentError::raster(&view.name))?;
-            Ok(centre(projected, &mask.resized(size.0, size.1), request.options.near, seen.as_deref()))
-        }
-    }
 }

@@ -1,7 +1,7 @@
 //! The graph of splats whose distances the views vote on.
 
 use super::boundaries::{combined, depth_edges};
-use super::{NONE, SceneTree};
+use super::tree::NONE;
 use crate::coverage::unoccluded;
 use crate::{NeighbourGraph, PosedView, SegmentError};
 use rayon::prelude::*;
@@ -289,13 +289,6 @@ impl<'a> TreeBuilder<'a> {
             0.5 * (heights[(n - 1) / 2] + heights[n / 2])
         };
         (!views.is_empty()).then(|| std::array::from_fn(median))
-    }
-
-    /// The trees of the views so far.
-    pub fn grow(&self) -> SceneTree {
-        let graph = self.graph();
-        let trees = graph.grow();
-        SceneTree { leaf: graph.node, trees }
     }
 }
 

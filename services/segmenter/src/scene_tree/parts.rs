@@ -1,7 +1,8 @@
 //! The parts of a scene: groups of the scene tree that do not overlap, without a click.
 
 use super::query::{LEAST_AREA, SCENE, expected};
-use super::{GroupCandidate, GroupTree, Growth, NONE, SceneTree, TREES};
+use super::tree::{Growth, TREES};
+use super::{GroupCandidate, GroupTree, NONE, SceneTree};
 use crate::PosedView;
 use segwild_raster::{CpuEngine, ProjectOptions, RasterError};
 use segwild_scene::{Mask, Splats};

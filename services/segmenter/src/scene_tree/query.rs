@@ -1,6 +1,7 @@
 //! Clicks against the scene tree: from what they hit to ranked groups of splats (method, section 13).
 
-use super::{GroupTree, Growth, NONE, SceneTree, TREES};
+use super::tree::{Growth, TREES};
+use super::{GroupTree, NONE, SceneTree};
 use crate::ClickHit;
 
 /// Candidates that a query answers with, at most.

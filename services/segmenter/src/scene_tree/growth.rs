@@ -1,0 +1,155 @@
+//! Trees grown from the graph of splats: by its distances, and by those in its eigenvectors.
+
+use super::graph::{SplatEdge, SplatGraph, TreeBuilder, quantile};
+use super::spectral::{self, Affinities};
+use super::tree::{GroupTree, Growth, SceneTree, SplatGroup, TREES};
+use rayon::prelude::*;
+use segwild_vision::linkage::{LinkageCost, LinkageEdge, MergeTree, agglomerate};
+
+/// Distance at which the affinity of two splats has fallen to 1/e.
+const AFFINITY_DISTANCE: f32 = 0.1;
+
+/// Numbers of the spectral embedding per splat.
+const EIGENVECTORS: usize = 12;
+
+/// Share of a spectral tree's distances that comes from the edge itself; the rest is the distance in the embedding.
+const OWN_DISTANCE: f32 = 0.4;
+
+/// Quantile of the distances in the embedding that counts as 1, and the largest that counts.
+const EMBEDDED: (f64, f32) = (0.99, 1.5);
+
+/// What the spectral tree's merges cost: small groups go first.
+const SPECTRAL_COST: LinkageCost = LinkageCost { least: 0.01, size: 0.2 };
+
+impl TreeBuilder<'_> {
+    /// The trees of the views so far.
+    pub fn grow(&self) -> SceneTree {
+        let graph = self.graph();
+        let trees = graph.grow();
+        SceneTree { leaf: graph.node, trees }
+    }
+}
+
+impl SplatGraph {
+    /// All trees.
+    pub fn grow(&self) -> Vec<GroupTree> {
+        TREES.par_iter().map(|&(cue, growth)| self.tree(cue, growth)).collect()
+    }
+
+    fn tree(&self, cue: usize, growth: Growth) -> GroupTree {
+        let mut edges: Vec<LinkageEdge> = self
+            .edges
+            .iter()
+            .map(|e| LinkageEdge { a: e.a, b: e.b, distance: e.distances[cue], weight: e.weight })
+            .collect();
+        let merges = match growth {
+            Growth::Average => {
+                agglomerate(&self.areas, &edges, LinkageCost { least: 0.01, ..LinkageCost::AVERAGE })
+            }
+            Growth::Spectral => {
+                for (e, far) in edges.iter_mut().zip(self.embedded(cue)) {
+                    e.distance = OWN_DISTANCE * e.distance + (1.0 - OWN_DISTANCE) * far;
+                }
+                agglomerate(&self.areas, &edges, SPECTRAL_COST)
+            }
+        };
+        self.described(merges, cue)
+    }
+
+    /// Per edge, the distance of its ends in the spectral embedding, in [0, 1.5].
+    fn embedded(&self, cue: usize) -> Vec<f32> {
+        let edges = self.edges.iter().map(|e| (e.a, e.b, affinity(e.distances[cue])));
+        let rows = spectral::embedding(Affinities::of(self.areas.len(), edges), EIGENVECTORS);
+        let row = |i: u32| &rows[i as usize * EIGENVECTORS..(i as usize + 1) * EIGENVECTORS];
+        let apart = |e: &SplatEdge| {
+            let squares = row(e.a).iter().zip(row(e.b)).map(|(x, y)| (x - y) * (x - y));
+            squares.sum::<f32>().sqrt()
+        };
+        let mut embedded: Vec<f32> = self.edges.par_iter().map(apart).collect();
+        let one = quantile(embedded.clone(), EMBEDDED.0).max(1e-12);
+        embedded.iter_mut().for_each(|d| *d = (*d / one).min(EMBEDDED.1));
+        embedded
+    }
+
+    /// A tree over the graph's nodes with its groups.
+    fn described(&self, merges: MergeTree, cue: usize) -> GroupTree {
+        // Per node of the tree: sums over the edges and borders of its leaves, and over those inside it. An edge is inside from
+        // the node on at which its ends meet.
+        let mut sums =
+            RimSums { ends: vec![[0.0; RIM]; merges.len()], inside: vec![[0.0; RIM]; merges.len()] };
+        for e in &self.edges {
+            let distance = e.distances[cue];
+            sums.add(&merges, e.a, e.b, [affinity(distance), distance, 1.0, 0.0, 0.0]);
+        }
+        let mut nearer = vec![0.0; self.areas.len()];
+        for border in &self.borders {
+            sums.add(&merges, border.a, border.b, [0.0, 0.0, 0.0, border.length, border.occluding]);
+            nearer[border.a as usize] += border.nearer;
+            nearer[border.b as usize] -= border.nearer;
+        }
+        sums.accumulate(&merges);
+        let (areas, void, frame) =
+            (merges.sums(&self.areas), merges.sums(&self.void), merges.sums(&self.frame));
+        let nearer = merges.sums(&nearer);
+        let (area, volume) = (areas.last().copied().unwrap_or(0.0), sums.ends.last().map_or(0.0, |s| s[0]));
+        let ratio = |a: f64, b: f64| if b > 1e-12 { (a / b) as f32 } else { 0.0 };
+        let group = |i: usize| {
+            let [affinity, distance, edges, length, occluding] = sums.rim(i);
+            let outline = length + void[i];
+            SplatGroup {
+                area: ratio(areas[i], area),
+                rim: ratio(distance, edges),
+                inner: ratio(sums.inside[i][1], sums.inside[i][2]),
+                cut: ratio(affinity, sums.ends[i][0].min(volume - sums.ends[i][0])).min(1.0),
+                outline: outline as f32,
+                occluding: ratio(occluding + void[i], outline),
+                nearer: ratio(nearer[i] + void[i], occluding + void[i]),
+                frame: ratio(frame[i], outline + frame[i]),
+            }
+        };
+        let groups = (0..merges.len()).map(group).collect();
+        GroupTree { merges, groups }
+    }
+}
+
+/// Affinity of two splats.
+fn affinity(distance: f32) -> f32 {
+    (-distance / AFFINITY_DISTANCE).exp()
+}
+
+/// Numbers that are summed over edges and borders: affinity, distance and number of edges; length and occluding length of
+/// borders.
+const RIM: usize = 5;
+
+/// Sums over what has an end in a node, counted once per end, and over what lies inside it.
+struct RimSums {
+    ends: Vec<[f64; RIM]>,
+    inside: Vec<[f64; RIM]>,
+}
+
+impl RimSums {
+    fn add(&mut self, merges: &MergeTree, a: u32, b: u32, numbers: [f32; RIM]) {
+        let numbers = numbers.map(f64::from);
+        let add = |sums: &mut [f64; RIM]| sums.iter_mut().zip(numbers).for_each(|(sum, x)| *sum += x);
+        add(&mut self.ends[a as usize]);
+        add(&mut self.ends[b as usize]);
+        add(&mut self.inside[merges.meet(a, b) as usize]);
+    }
+
+    /// Adds every node's sums to its parent's.
+    fn accumulate(&mut self, merges: &MergeTree) {
+        for sums in [&mut self.ends, &mut self.inside] {
+            for i in 0..merges.len() {
+                let (own, parent) = (sums[i], merges.parent[i] as usize);
+                if parent != i {
+                    sums[parent].iter_mut().zip(own).for_each(|(sum, x)| *sum += x);
+                }
+            }
+        }
+    }
+
+    /// Sums over what has one end in a node and the other outside.
+    fn rim(&self, i: usize) -> [f64; RIM] {
+        std::array::from_fn(|k| (self.ends[i][k] - 2.0 * self.inside[i][k]).max(0.0))
+    }
+}

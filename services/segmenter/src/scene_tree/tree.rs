@@ -1,0 +1,77 @@
+//! The trees of a scene and their groups.
+
+use segwild_vision::linkage::MergeTree;
+use wincode::{SchemaRead, SchemaWrite};
+
+/// Stands for "in no tree".
+pub const NONE: u32 = u32::MAX;
+
+/// Nested groups of a scene's splats.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub struct SceneTree {
+    /// Per splat of the scene, its leaf in all trees; [`NONE`] where no view sees it or a neighbour of it.
+    pub leaf: Vec<u32>,
+    /// The trees, over the same leaves.
+    pub trees: Vec<GroupTree>,
+}
+
+/// One tree with what is known of its groups.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+pub struct GroupTree {
+    /// The merges; leaves are splats that some view sees.
+    pub merges: MergeTree,
+    /// Per node.
+    pub groups: Vec<SplatGroup>,
+}
+
+/// A node of a tree: a group of splats. Lengths are sides of pixels, summed over the views.
+#[derive(Clone, Copy, Debug, Default, PartialEq, SchemaRead, SchemaWrite)]
+pub struct SplatGroup {
+    /// Its share of the light that all views see.
+    pub area: f32,
+    /// Mean distance over the edges from it to the rest.
+    pub rim: f32,
+    /// Mean distance over the edges inside it.
+    pub inner: f32,
+    /// Normalised cut in [0, 1]: affinity to the rest, relative to all affinity of the smaller side.
+    pub cut: f32,
+    /// Length of its outline: borders with other groups and with nothing, without the photos' frames.
+    pub outline: f32,
+    /// Share of the outline that is an occlusion, or borders on nothing.
+    pub occluding: f32,
+    /// Share of those occlusions in which the group is the nearer side, less the share in which it is the farther one: 1 for
+    /// what stands before everything, -1 for what everything stands before.
+    pub nearer: f32,
+    /// Share of outline and frame together that lies on the photos' frames.
+    pub frame: f32,
+}
+
+impl SceneTree {
+    /// Whether its parts fit together and to a scene of so many splats: it may have been read from a file.
+    pub fn fits(&self, splats: usize) -> bool {
+        let leaves = self.trees.first().map_or(0, |tree| tree.merges.leaves);
+        let whole = |tree: &GroupTree| tree.merges.is_sound(leaves) && tree.groups.len() == tree.merges.len();
+        self.leaf.len() == splats
+            && self.trees.len() == TREES.len()
+            && self.trees.iter().all(whole)
+            && self.leaf.iter().all(|&leaf| leaf == NONE || (leaf as usize) < leaves)
+    }
+}
+
+/// Which distances a tree is grown from, and how.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Growth {
+    /// Distances in the eigenvectors of the whole graph, and the edges' own.
+    Spectral,
+    /// Average linkage of the edges' own distances.
+    Average,
+}
+
+/// The trees, by cue (both, photo, geometry) and growth.
+pub(super) const TREES: [(usize, Growth); 5] = [
+    (0, Growth::Spectral),
+    (1, Growth::Spectral),
+    (2, Growth::Spectral),
+    (0, Growth::Average),
+    (2, Growth::Average),
+];
