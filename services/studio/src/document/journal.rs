@@ -2,7 +2,8 @@
 //!
 //! The file is only appended to. A kill may cut the last line short; it is then removed before the next one is written.
 
-use super::{Document, Operation};
+use super::Document;
+use super::operation::JournalEntry;
 use segwild_flow::{FileError, files};
 use serde::{Deserialize, Serialize};
 use std::fs::File;
@@ -41,18 +42,6 @@ pub struct JournalStart {
     pub segwild_session: u32,
     /// Key of the training whose splats the selections are of; empty where no ledger names it.
     pub scene: String,
-}
-
-/// A line of a journal.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum JournalEntry {
-    /// An operation.
-    Apply(Operation),
-    /// The last operation is undone.
-    Undo,
-    /// The last undone operation is done again.
-    Redo,
 }
 
 /// A journal that is being written.

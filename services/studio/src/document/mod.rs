@@ -3,8 +3,8 @@
 mod journal;
 mod operation;
 
-pub use journal::{Journal, JournalEntry, JournalError, JournalStart};
-pub use operation::{ObjectDraft, ObjectId, Operation, StoredSelection};
+pub use journal::{Journal, JournalError, JournalStart};
+pub use operation::{JournalEntry, ObjectDraft, ObjectId, Operation, StoredSelection};
 
 use segwild_pipeline::BlendedAppearance;
 use serde::Serialize;

@@ -172,3 +172,15 @@ impl Operation {
         }
     }
 }
+
+/// A line of a journal.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum JournalEntry {
+    /// An operation.
+    Apply(Operation),
+    /// The last operation is undone.
+    Undo,
+    /// The last undone operation is done again.
+    Redo,
+}

@@ -1,6 +1,6 @@
 //! What a person does, as operations.
 
-use super::{LOST, Studio, StudioError, StudioState};
+use super::state::{LOST, Studio, StudioError, StudioState};
 use crate::document::{JournalEntry, ObjectDraft, ObjectId, Operation, StoredSelection};
 use crate::messages::{ShownPrompts, StudioAction};
 use segwild_pipeline::{BlendedAppearance, PhotoPrompts, Selected};

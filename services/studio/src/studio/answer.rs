@@ -1,21 +1,12 @@
 //! Answers that grow, and objects that are asked for again.
 
-use super::{Studio, StudioError, StudioState};
+use super::state::{GrowingAnswer, Studio, StudioError, StudioState};
 use crate::document::{Document, JournalEntry, KeptObject, ObjectDraft, ObjectId, Operation};
-use crate::messages::AnswerMessage;
 use segwild_flow::Stopper;
 use segwild_pipeline::{Replay, RunError, Selected, Session};
 use segwild_segmenter::SegmentSettings;
 use std::sync::{Arc, Weak};
 use std::time::Instant;
-
-/// An answer that grows.
-#[derive(Default)]
-pub(super) struct GrowingAnswer {
-    pub(super) message: AnswerMessage,
-    pub(super) selected: Option<Arc<Selected>>,
-    pub(super) stopper: Option<Stopper>,
-}
 
 impl Studio {
     /// Cancels the answer that is being made, and starts the one to the present draft.

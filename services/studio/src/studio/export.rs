@@ -1,6 +1,6 @@
 //! Objects as files.
 
-use super::{LOST, Studio, StudioError, mark};
+use super::state::{LOST, Studio, StudioError, mark};
 use crate::document::ObjectId;
 use segwild_flow::{FileError, Stopper};
 use segwild_pipeline::{ObjectList, Selected};

@@ -4,91 +4,23 @@ mod act;
 mod answer;
 mod export;
 mod show;
+mod state;
 mod transients;
 
-use crate::document::{Document, DocumentError, Journal, JournalEntry, JournalError};
+pub use state::{ANSWER_COLOUR, COLOURS, Studio, StudioError};
+
+use crate::document::{Journal, JournalEntry};
 use crate::fronts::FrontMaps;
 use crate::messages::{
     AnswerMessage, AppearanceMessage, DraftMessage, ListedDescription, ObjectMessage, PhotoDescription,
     RunDescription, ShownPrompts, StateMessage,
 };
 use crate::store::SelectionStore;
-use answer::GrowingAnswer;
-use segwild_flow::{FileError, Stopper};
-use segwild_pipeline::{
-    ObjectList, RunError, RunFolder, Session, SessionOptions, TrainingSnapshot, list_objects,
-};
-use segwild_scene::SceneError;
-use segwild_segmenter::{NeighbourGraph, SegmentSettings};
-use show::CachedScene;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use segwild_flow::Stopper;
+use segwild_pipeline::{ObjectList, RunFolder, Session, SessionOptions, TrainingSnapshot, list_objects};
+use state::{GrowingAnswer, StudioState};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use tokio::sync::watch;
-
-/// Colours of objects, sRGB: apart from one another for most eyes, and from the answer's.
-pub const COLOURS: [[u8; 3]; crate::document::PALETTE] = [
-    [230, 159, 0],
-    [86, 180, 233],
-    [0, 158, 115],
-    [240, 228, 66],
-    [0, 114, 178],
-    [213, 94, 0],
-    [204, 121, 167],
-    [148, 103, 189],
-    [140, 200, 90],
-    [120, 220, 210],
-    [250, 150, 130],
-    [170, 170, 180],
-];
-
-/// Colour of the answer.
-pub const ANSWER_COLOUR: [u8; 3] = [255, 64, 160];
-
-/// Why something cannot be done.
-#[derive(Debug, thiserror::Error)]
-pub enum StudioError {
-    /// The session cannot do it.
-    #[error(transparent)]
-    Run(#[from] RunError),
-    /// The operation does not fit.
-    #[error(transparent)]
-    Document(#[from] DocumentError),
-    /// The journal cannot be used.
-    #[error(transparent)]
-    Journal(#[from] JournalError),
-    /// A file cannot be written.
-    #[error(transparent)]
-    File(#[from] FileError),
-    /// A mask cannot be written.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// The request makes no sense.
-    #[error("{0}")]
-    Request(&'static str),
-}
-
-struct StudioState {
-    document: Document,
-    journal: Journal,
-    store: SelectionStore,
-    answer: GrowingAnswer,
-    revision: u64,
-    notes: Vec<String>,
-}
-
-/// A run's session with its objects.
-pub struct Studio {
-    name: String,
-    /// The step of the training that the scene is of; `None` where the training is over.
-    snapshot: Option<u32>,
-    session: Session,
-    settings: SegmentSettings,
-    listed: Option<ObjectList>,
-    state: Mutex<StudioState>,
-    changes: watch::Sender<u64>,
-    fronts: FrontMaps,
-    graph: OnceLock<NeighbourGraph>,
-    shown: Mutex<Vec<CachedScene>>,
-}
 
 impl Studio {
     /// Opens a run's session and what was done in it before. Objects of an earlier training, and those whose splats are lost,
@@ -161,16 +93,6 @@ impl Studio {
         Ok(studio)
     }
 
-    fn state(&self) -> MutexGuard<'_, StudioState> {
-        // A panic elsewhere leaves a state that is whole: operations are applied after they were written.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn changed(&self, state: &mut StudioState) {
-        state.revision += 1;
-        self.changes.send_replace(state.revision);
-    }
-
     /// Follows the revision of the state.
     pub fn changes(&self) -> watch::Receiver<u64> {
         self.changes.subscribe()
@@ -197,15 +119,6 @@ impl Studio {
     pub fn is_untouched(&self) -> bool {
         let state = self.state();
         state.document.objects().draft.is_empty() && state.document.objects().all.is_empty()
-    }
-
-    fn photo_named(&self, name: &str) -> Option<usize> {
-        self.session.scene().view_named(name)
-    }
-
-    fn check_photo(&self, photo: usize) -> Result<(), StudioError> {
-        let known = photo < self.session.scene().views.len();
-        if known { Ok(()) } else { Err(StudioError::Request("there is no such photo")) }
     }
 
     /// What does not change.
@@ -303,20 +216,4 @@ impl Studio {
         self.changed(state);
         Ok(())
     }
-}
-
-impl Drop for Studio {
-    fn drop(&mut self) {
-        if let Some(stopper) = self.state().answer.stopper.take() {
-            stopper.stop();
-        }
-    }
-}
-
-/// The splats of an object are needed and not there.
-const LOST: StudioError =
-    StudioError::Request("the splats of this object are lost: refine it to ask for it again");
-
-fn mark(to: &mut [u8], labels: &[bool], with: u8) {
-    to.iter_mut().zip(labels).filter(|(_, label)| **label).for_each(|(to, _)| *to = with);
 }

@@ -1,6 +1,6 @@
 //! What viewers see: candidates, masks, photos, renders.
 
-use super::{ANSWER_COLOUR, COLOURS, Studio, StudioError, mark};
+use super::state::{ANSWER_COLOUR, COLOURS, CachedScene, Studio, StudioError, mark};
 use crate::document::{KeptObject, ObjectId};
 use crate::fronts::FrontMap;
 use crate::messages::{
@@ -19,14 +19,6 @@ const TRIED_PHOTOS: usize = 8;
 
 /// Relative depth by which a point may lie behind what a photo shows there.
 const SAME_DEPTH: f32 = 0.03;
-
-/// The scene as one revision shows it, with or without marks.
-pub(super) struct CachedScene {
-    pub(super) revision: u64,
-    pub(super) marks: bool,
-    pub(super) appearance: Option<usize>,
-    pub(super) scene: Arc<ShownScene>,
-}
 
 impl Studio {
     /// The candidate at a position of a photo, without a click; `None` where there is none.

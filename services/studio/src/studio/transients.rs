@@ -1,7 +1,7 @@
 //! Transients that a person paints: the run's own mask images.
 
 use super::show::label_map;
-use super::{Studio, StudioError, StudioState};
+use super::state::{Studio, StudioError, StudioState};
 use crate::document::{Document, Operation};
 use crate::messages::LabelMap;
 use crate::regions::{Combination, Region};

@@ -1,0 +1,131 @@
+//! What a run's session holds for all viewers.
+
+use crate::document::{Document, DocumentError, Journal, JournalError};
+use crate::fronts::FrontMaps;
+use crate::messages::AnswerMessage;
+use crate::store::SelectionStore;
+use segwild_flow::{FileError, Stopper};
+use segwild_pipeline::{ObjectList, RunError, Selected, Session, ShownScene};
+use segwild_scene::SceneError;
+use segwild_segmenter::{NeighbourGraph, SegmentSettings};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use tokio::sync::watch;
+
+/// Colours of objects, sRGB: apart from one another for most eyes, and from the answer's.
+pub const COLOURS: [[u8; 3]; crate::document::PALETTE] = [
+    [230, 159, 0],
+    [86, 180, 233],
+    [0, 158, 115],
+    [240, 228, 66],
+    [0, 114, 178],
+    [213, 94, 0],
+    [204, 121, 167],
+    [148, 103, 189],
+    [140, 200, 90],
+    [120, 220, 210],
+    [250, 150, 130],
+    [170, 170, 180],
+];
+
+/// Colour of the answer.
+pub const ANSWER_COLOUR: [u8; 3] = [255, 64, 160];
+
+/// Why something cannot be done.
+#[derive(Debug, thiserror::Error)]
+pub enum StudioError {
+    /// The session cannot do it.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// The operation does not fit.
+    #[error(transparent)]
+    Document(#[from] DocumentError),
+    /// The journal cannot be used.
+    #[error(transparent)]
+    Journal(#[from] JournalError),
+    /// A file cannot be written.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// A mask cannot be written.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The request makes no sense.
+    #[error("{0}")]
+    Request(&'static str),
+}
+
+pub(super) struct StudioState {
+    pub(super) document: Document,
+    pub(super) journal: Journal,
+    pub(super) store: SelectionStore,
+    pub(super) answer: GrowingAnswer,
+    pub(super) revision: u64,
+    pub(super) notes: Vec<String>,
+}
+
+/// A run's session with its objects.
+pub struct Studio {
+    pub(super) name: String,
+    /// The step of the training that the scene is of; `None` where the training is over.
+    pub(super) snapshot: Option<u32>,
+    pub(super) session: Session,
+    pub(super) settings: SegmentSettings,
+    pub(super) listed: Option<ObjectList>,
+    pub(super) state: Mutex<StudioState>,
+    pub(super) changes: watch::Sender<u64>,
+    pub(super) fronts: FrontMaps,
+    pub(super) graph: OnceLock<NeighbourGraph>,
+    pub(super) shown: Mutex<Vec<CachedScene>>,
+}
+
+/// An answer that grows.
+#[derive(Default)]
+pub(super) struct GrowingAnswer {
+    pub(super) message: AnswerMessage,
+    pub(super) selected: Option<Arc<Selected>>,
+    pub(super) stopper: Option<Stopper>,
+}
+
+/// The scene as one revision shows it, with or without marks.
+pub(super) struct CachedScene {
+    pub(super) revision: u64,
+    pub(super) marks: bool,
+    pub(super) appearance: Option<usize>,
+    pub(super) scene: Arc<ShownScene>,
+}
+
+impl Studio {
+    pub(super) fn state(&self) -> MutexGuard<'_, StudioState> {
+        // A panic elsewhere leaves a state that is whole: operations are applied after they were written.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn changed(&self, state: &mut StudioState) {
+        state.revision += 1;
+        self.changes.send_replace(state.revision);
+    }
+
+    pub(super) fn photo_named(&self, name: &str) -> Option<usize> {
+        self.session.scene().view_named(name)
+    }
+
+    pub(super) fn check_photo(&self, photo: usize) -> Result<(), StudioError> {
+        let known = photo < self.session.scene().views.len();
+        if known { Ok(()) } else { Err(StudioError::Request("there is no such photo")) }
+    }
+}
+
+impl Drop for Studio {
+    fn drop(&mut self) {
+        if let Some(stopper) = self.state().answer.stopper.take() {
+            stopper.stop();
+        }
+    }
+}
+
+/// The splats of an object are needed and not there.
+pub(super) const LOST: StudioError =
+    StudioError::Request("the splats of this object are lost: refine it to ask for it again");
+
+pub(super) fn mark(to: &mut [u8], labels: &[bool], with: u8) {
+    to.iter_mut().zip(labels).filter(|(_, label)| **label).for_each(|(to, _)| *to = with);
+}
