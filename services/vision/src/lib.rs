@@ -5,9 +5,11 @@ mod builtin;
 mod contours;
 mod geometry;
 pub mod linkage;
+mod network_file;
 mod networks;
 mod onnx;
 mod provider;
+mod providers;
 mod registry;
 mod sam;
 mod settings;
@@ -16,13 +18,13 @@ pub use builtin::{
     Builtin, EdgeDetector, PromptInterpretation, PromptQuery, PromptStep, RegionCache, Regions, TraitWeights,
 };
 pub use contours::ContourTree;
+pub use network_file::NetworkFile;
 pub use networks::{EdgeNetwork, SkyNetwork, TransientNetwork};
 pub use onnx::Runtime;
 pub use provider::{
     Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, TransientDetector, VisionError, Work,
 };
+pub use providers::{BUILT_IN, Providers};
 pub use registry::{Family, ModelFile, models_in};
 pub use sam::Sam;
-pub use settings::{
-    BUILT_IN, DeviceChoice, EdgeChoice, ModelChoice, NetworkFile, Providers, SkyChoice, VisionSettings,
-};
+pub use settings::{DeviceChoice, EdgeChoice, ModelChoice, SkyChoice, VisionSettings};

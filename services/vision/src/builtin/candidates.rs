@@ -1,7 +1,7 @@
 //! The regions that hold a position, from all trees, each with a score.
 
 use super::analysis::Analysis;
-use super::select::standing;
+use super::tree::standing;
 
 /// A region that holds the queried position.
 #[derive(Clone, Copy, Debug)]

@@ -6,9 +6,8 @@
 
 use super::analysis::Analysis;
 use super::colours::ColourSamples;
-use super::select::standing;
 use super::shape::{SetShape, SuperpixelPositions};
-use super::tree::Hierarchy;
+use super::tree::{Hierarchy, standing};
 use std::collections::HashSet;
 
 /// Least pixels of a candidate.

@@ -375,3 +375,17 @@ fn merge(nodes: &mut Vec<RegionNode>, borders: &[(u32, u32, Border)], total: f32
         alive.push(true);
     }
 }
+
+/// Objectness of a region: how far its merge with the rest lies above the merges inside it, and how clear its outline is; less
+/// for crumbs and for regions that the frame cuts off or that fill it.
+pub(crate) fn standing(tree: &Hierarchy, region: u32) -> f32 {
+    let node = &tree.nodes[region as usize];
+    let total = (tree.width * tree.height) as f32;
+    let above = tree.nodes[node.parent as usize].altitude;
+    let top = tree.nodes[tree.root() as usize].altitude.max(1e-6);
+    let persistence = (above - node.altitude).max(0.0) / top;
+    let share = node.area / total;
+    let size = (share / 0.02).min(1.0).sqrt() * ((1.0 - share) / 0.5).clamp(0.0, 1.0);
+    let framed = node.frame / (node.border.length + node.frame).max(1.0);
+    (persistence + 0.5 * node.border.mean()) * size * (1.0 - framed)
+}

@@ -14,9 +14,9 @@ mod prompt;
 mod refine;
 
 use crate::builtin::{Memory, PREPARED, Weighed, check, content};
+use crate::network_file::NetworkFile;
 use crate::onnx::{NetworkDevice, NetworkModel, Options, Runtime};
 use crate::registry::ModelPair;
-use crate::settings::NetworkFile;
 use crate::{Embedder, MaskProposer, PromptSegmenter, Prompted, VisionError, VisionSettings, Work};
 pub(crate) use choice::find_pair;
 use decoder::{INSIDE, PromptDecoder, Query};
