@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 use segwild_flow::shortage::is_shortage_of_processes;
 use segwild_flow::{Ledger, files};
 
-use super::{BatchEvent, BatchFolder};
+use super::event::BatchEvent;
+use super::folder::BatchFolder;
 use crate::engine::{ErrorClass, JobLease};
 use crate::job::Needs;
 use crate::manifest::SceneJob;

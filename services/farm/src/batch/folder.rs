@@ -6,7 +6,7 @@ use segwild_flow::process::{self, Lock, LockError, Owner};
 use segwild_flow::{FileError, files};
 use serde::{Deserialize, Serialize};
 
-use super::BatchError;
+use super::error::BatchError;
 use crate::embedded::EmbeddedEngine;
 use crate::engine::EngineError;
 use crate::job::Needs;

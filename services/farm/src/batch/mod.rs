@@ -13,16 +13,19 @@
 //! dies, leaves no process running. Until such an orphan has stopped, its run folder is locked, and the next batch waits.
 
 mod child;
+mod error;
+mod event;
 mod folder;
 mod stop;
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use segwild_flow::process::Owner;
 use segwild_pipeline::Until;
 use serde::Serialize;
 
+pub use error::BatchError;
+pub use event::BatchEvent;
 pub use folder::{BatchFolder, BatchRecord};
 pub use stop::{StopBatch, StopLevel};
 
@@ -32,7 +35,7 @@ use crate::engine::{
     EngineError, ErrorClass, JobEngine, JobFate, JobLease, JobState, JobStatus, WorkerOffer,
 };
 use crate::job::Needs;
-use crate::manifest::{BatchManifest, ManifestError, SceneJob};
+use crate::manifest::{BatchManifest, SceneJob};
 use child::{Ended, SceneWorker};
 
 /// A lease lasts so long without a heartbeat, in seconds.
@@ -43,35 +46,6 @@ const TICK: Duration = Duration::from_millis(100);
 const JUMP_REPORTED_S: f64 = 60.0;
 /// How often work is requested when nothing has changed.
 const ASK_EVERY: Duration = Duration::from_secs(1);
-
-/// Why a batch could not run.
-#[derive(Debug, thiserror::Error)]
-pub enum BatchError {
-    /// The manifest does not make sense.
-    #[error(transparent)]
-    Manifest(#[from] ManifestError),
-    /// The engine could not serve.
-    #[error(transparent)]
-    Engine(#[from] EngineError),
-    /// A file of the batch folder could not be read or written.
-    #[error("cannot {action} {}: {source}", path.display())]
-    File {
-        /// What was tried.
-        action: &'static str,
-        /// With which file.
-        path: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-    },
-    /// Another process runs this batch.
-    #[error("the batch {} is run by {owner}; wait for it or stop it", path.display())]
-    Busy {
-        /// The folder.
-        path: PathBuf,
-        /// Who runs it.
-        owner: Owner,
-    },
-}
 
 /// How a batch is run.
 #[derive(Clone)]
@@ -86,63 +60,6 @@ pub struct BatchOptions {
     pub retry_dead: bool,
     /// Where every scene stops, whatever the manifest says.
     pub until: Option<Until>,
-}
-
-/// What happens in a batch.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(tag = "event", rename_all = "snake_case")]
-pub enum BatchEvent {
-    /// A scene's process starts.
-    SceneStarted {
-        /// The scene.
-        scene: String,
-        /// Its process.
-        pid: u32,
-        /// Which attempt it is, from 1.
-        attempt: u32,
-        /// The cores it was given.
-        cores: u32,
-    },
-    /// A scene cannot start yet.
-    SceneWaits {
-        /// The scene.
-        scene: String,
-        /// For what.
-        reason: String,
-    },
-    /// A scene is done.
-    SceneDone {
-        /// The scene.
-        scene: String,
-        /// How long this attempt took, in seconds.
-        seconds: f64,
-    },
-    /// An attempt failed; another one follows.
-    SceneRetries {
-        /// The scene.
-        scene: String,
-        /// Why it failed.
-        error: String,
-        /// After how many seconds it is tried again.
-        delay_s: f64,
-    },
-    /// A scene was given up.
-    SceneDied {
-        /// The scene.
-        scene: String,
-        /// Why.
-        error: String,
-    },
-    /// A scene was stopped; it can go on.
-    SceneStopped {
-        /// The scene.
-        scene: String,
-    },
-    /// The wall clock was set, or the machine slept. Nothing depends on it.
-    ClockJumped {
-        /// By how much, in seconds; back is negative.
-        seconds: f64,
-    },
 }
 
 /// How a batch ended.

@@ -11,17 +11,12 @@ use ratatui::layout::Rect;
 use ratatui::text::Line;
 use ratatui::widgets::{Paragraph, Widget};
 
+pub use page::ScreenPosition;
+
 use crate::view::{MonitorTarget, MonitorView, Runs};
 
 /// Time between two refreshes.
 const EVERY: Duration = Duration::from_secs(1);
-
-/// What the page shows of a batch: the scene whose stages are listed.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct ScreenPosition {
-    /// Index of the chosen scene; `None`: the first that runs.
-    pub scene: Option<usize>,
-}
 
 /// Draws a view.
 pub fn draw(view: &MonitorView, position: ScreenPosition, area: Rect, buffer: &mut Buffer) {

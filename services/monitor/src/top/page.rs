@@ -4,9 +4,15 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use segwild_flow::WorkerState;
 
-use super::ScreenPosition;
 use crate::view::{ActorView, BatchView, Disk, MonitorView, RunView, SceneState, SceneView, StageView};
 use crate::words::{bytes, cut, duration};
+
+/// What the page shows of a batch: the scene whose stages are listed.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ScreenPosition {
+    /// Index of the chosen scene; `None`: the first that runs.
+    pub scene: Option<usize>,
+}
 
 fn plain(text: impl Into<String>) -> Line<'static> {
     Line::from(text.into())

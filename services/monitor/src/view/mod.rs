@@ -3,52 +3,25 @@
 //! Whatever shows something to an operator shows this, so that no two displays disagree.
 
 mod batch;
+mod folder;
 mod run;
 mod runs;
+mod scene;
+mod stage;
 
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use segwild_farm::{BatchFolder, EngineError};
-use segwild_flow::LedgerError;
-use segwild_pipeline::RunFolder;
+use segwild_farm::BatchFolder;
 use serde::{Deserialize, Serialize};
 
 pub use crate::disk::Disk;
-pub use batch::{BatchView, SceneState, SceneView};
-pub use run::{
-    ActorView, LoggedEvent, MailboxView, PhotoFailure, RunState, RunView, SelectionView, StageView,
-    WorkerView,
-};
+pub use batch::BatchView;
+pub use folder::ViewError;
+pub use run::{LoggedEvent, MailboxView, PhotoFailure, RunState, RunView, STALE_S, SelectionView};
 pub use runs::Runs;
-
-/// A sample older than this, in seconds, says that a run which should be watched is not.
-pub const STALE_S: f64 = 15.0;
-
-/// Why there is no view.
-#[derive(Debug, thiserror::Error)]
-pub enum ViewError {
-    /// The folder is neither a run's nor a batch's.
-    #[error("{}: this is no run folder and no batch folder; `segwild run SCENE --out FOLDER` makes the one, `segwild batch MANIFEST --out FOLDER` the other", .0.display())]
-    NoFolder(PathBuf),
-    /// The folder is a run's, and is not to be used as it is.
-    #[error("{0}")]
-    Unusable(String),
-    /// A run's ledger cannot be read.
-    #[error(transparent)]
-    Ledger(#[from] LedgerError),
-    /// A batch's engine cannot be read.
-    #[error(transparent)]
-    Engine(#[from] EngineError),
-}
-
-/// An existing run's folder; where it is one and is not to be used, why.
-fn open_run(path: &Path) -> Result<RunFolder, ViewError> {
-    RunFolder::open(path).map_err(|error| match RunFolder::at(path).ledger().exists() {
-        true => ViewError::Unusable(error.to_string()),
-        false => ViewError::NoFolder(path.to_owned()),
-    })
-}
+pub use scene::{SceneState, SceneView};
+pub use stage::{ActorView, StageView, WorkerView};
 
 /// What is shown.
 #[derive(Clone, Debug)]
@@ -68,7 +41,7 @@ impl MonitorTarget {
         if let Some(batch) = BatchFolder::open(path) {
             return Ok(MonitorTarget::Batch(batch));
         }
-        open_run(path).map(|_| MonitorTarget::Run(path.to_owned()))
+        folder::open_run(path).map(|_| MonitorTarget::Run(path.to_owned()))
     }
 
     /// How it is now.
@@ -137,8 +110,4 @@ impl MonitorView {
 
 pub(crate) fn now() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
-}
-
-pub(crate) fn name_of(path: &Path) -> String {
-    path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned())
 }

@@ -6,9 +6,9 @@ use std::time::SystemTime;
 
 use segwild_pipeline::RunFolder;
 
-use super::run::selections;
-use super::{Disk, RunView};
-use crate::ViewError;
+use super::Disk;
+use super::folder::ViewError;
+use super::run::{RunView, selections};
 
 /// Length and time of last change of each file that says how a run is; `None` for one that is not there.
 type FileMarks = [Option<(u64, Option<SystemTime>)>; 3];

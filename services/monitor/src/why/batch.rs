@@ -1,0 +1,58 @@
+//! Why scenes of a batch wait, in words.
+
+use std::collections::BTreeMap;
+
+use segwild_farm::{JobTurn, Needs};
+
+use crate::view::{SceneState, SceneView};
+use crate::words::{bytes, count, duration};
+
+/// Scenes wait for their turn, for space, for the end of a rest, or for what keeps their process from starting.
+pub(crate) fn scenes(
+    all: &mut [SceneView],
+    turns: &BTreeMap<&str, JobTurn<'_>>,
+    waits: &BTreeMap<String, String>,
+    batch_runs: bool,
+) {
+    for scene in all.iter_mut() {
+        let in_use = scene.run.as_ref().and_then(|run| run.owner.clone());
+        scene.why = match scene.state {
+            SceneState::Done => None,
+            SceneState::Dead => scene.error.as_ref().map(|e| format!("given up: {e}")),
+            SceneState::Running if in_use.is_none() => Some("its process is starting or stopping".into()),
+            SceneState::Running => None,
+            SceneState::Waiting if !batch_runs => Some("no process runs this batch".into()),
+            SceneState::Waiting if waits.contains_key(&scene.name) => waits.get(&scene.name).cloned(),
+            SceneState::Waiting => Some(match (scene.rests_s, &scene.error) {
+                (Some(s), Some(error)) => format!("tries again in {} after: {error}", duration(s)),
+                (Some(s), None) => format!("starts in {}", duration(s)),
+                (None, _) => turns
+                    .get(scene.name.as_str())
+                    .map_or_else(|| "about to start".into(), |turn| missing_capacity(&scene.needs, turn)),
+            }),
+        };
+    }
+}
+
+/// What a scene still needs, and whom that is kept for.
+fn missing_capacity(needs: &Needs, turn: &JobTurn<'_>) -> String {
+    let free = &turn.free;
+    let still = |n: u64, words: String| if n > 0 { format!(" ({words} free)") } else { String::new() };
+    let mut lacks = Vec::new();
+    if needs.cores > free.cores {
+        lacks.push(count(needs.cores, "core") + &still(free.cores.into(), free.cores.to_string()));
+    }
+    if needs.memory_bytes > free.memory_bytes {
+        let free = still(free.memory_bytes, bytes(free.memory_bytes));
+        lacks.push(format!("{} of memory{free}", bytes(needs.memory_bytes)));
+    }
+    if needs.accelerators > free.accelerators {
+        let free = still(free.accelerators.into(), free.accelerators.to_string());
+        lacks.push(count(needs.accelerators, "accelerator") + &free);
+    }
+    match (lacks.is_empty(), turn.kept_for) {
+        (true, _) => "about to start".into(),
+        (false, None) => format!("waits for {}", lacks.join(", ")),
+        (false, Some(urgent)) => format!("waits for {}; `{urgent}` goes first", lacks.join(", ")),
+    }
+}
