@@ -156,7 +156,7 @@ impl Modules {
             for glob in own.iter().filter(|one| one.name == "*") {
                 for target in self.modules_at(at, &glob.path, &mut BTreeSet::new()) {
                     for word in module.words.iter().filter(|word| !module.items.contains_key(*word)) {
-                        found.extend(self.inside(target, &[word.clone()], &mut BTreeSet::new()));
+                        found.extend(self.inside(target, std::slice::from_ref(word), &mut BTreeSet::new()));
                     }
                 }
             }
