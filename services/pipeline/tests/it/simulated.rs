@@ -6,7 +6,7 @@ use segwild_masks::{MaskOutcome, MaskTask};
 use segwild_objective::background::Background;
 use segwild_objective::{AnyAppearance, NoAppearance};
 use segwild_pipeline::{ActorInboxes, ActorOutcome, ActorParts, RunError, Settings, Stage, Wiring};
-use segwild_scene::{Image, Mask, Scene, Splats};
+use segwild_scene::{HoldOut, Image, Mask, Scene, Splats};
 use segwild_trainer::{AppearanceModel, Model, Stats, TrainOrder, TrainOutcome};
 use std::collections::VecDeque;
 use std::path::Path;
@@ -338,6 +338,7 @@ pub fn write_scene(folder: &Path) {
 pub fn settings() -> Settings {
     let mut settings = Settings::default();
     settings.scene.size = 32;
+    settings.scene.hold_out = HoldOut::None;
     settings.train.steps = 30;
     settings.train.appearance_model = AppearanceModel::None;
     settings
