@@ -2,7 +2,7 @@
 
 use crate::GpuError;
 use crate::device::{DeviceWork, PooledBuffer, lock};
-use crate::engine::{GROUP, TILE};
+use crate::groups::{GROUP, TILE};
 use crate::memory::photos_kept;
 use crate::nets::Visible;
 use crate::shaders::{

@@ -2,10 +2,10 @@
 
 use crate::GpuError;
 use crate::device::{DeviceWork, GpuDevice, PooledBuffer};
-use crate::engine::GROUP;
+use crate::groups::GROUP;
 use crate::memory::keeps_channels;
+use crate::packing::{at_once, pack_splats, parts_of};
 use crate::shaders::{COSINES, FUSE};
-use crate::view::{at_once, pack_splats, parts_of};
 use segwild_objective::field::Queries;
 use segwild_raster::Channels;
 use std::sync::Arc;

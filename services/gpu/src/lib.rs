@@ -12,19 +12,24 @@
 extern crate self as segwild_gpu;
 
 mod adapter;
+mod bin;
 mod clock;
 mod compare;
 mod device;
 mod engine;
 mod field;
-mod holding;
+mod groups;
 mod kept;
 mod memory;
+mod need;
 mod nets;
 mod optimiser;
+mod packing;
+mod parameters;
 mod passes;
 pub mod probe;
 mod shaders;
+mod sort;
 #[cfg(test)]
 #[path = "../tests/adapter/mod.rs"]
 mod test_adapter;
@@ -33,7 +38,8 @@ mod view;
 
 pub use adapter::{Adapter, AdapterChoice, adapters};
 pub use engine::GpuEngine;
-pub use memory::{LEAST_PHOTOS, training_bytes};
+pub use memory::LEAST_PHOTOS;
+pub use need::training_bytes;
 pub use shaders::{KERNELS, Kernel, source};
 
 /// Why the accelerator engine refused, or stopped.

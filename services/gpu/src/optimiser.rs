@@ -1,11 +1,12 @@
 //! The optimiser on the device: the groups of parameters, and their rules.
 
 use crate::GpuError;
+use crate::bin::Cloud;
 use crate::device::{DeviceWork, PooledBuffer};
-use crate::engine::{Cloud, GROUP};
+use crate::groups::GROUP;
+use crate::parameters::GpuTraining;
 use crate::passes::ShapeGrads;
 use crate::shaders::ADAM;
-use crate::training::GpuTraining;
 use bytemuck::{Pod, Zeroable};
 use segwild_objective::{NetworksStep, OptimiserRules, Resident, Rule};
 

@@ -3,8 +3,9 @@
 //! Channels are stored in blocks of whole vec4: `[splat][block]` and `[pixel][block]`, filled up with zeros.
 
 use crate::GpuError;
+use crate::bin::Binned;
 use crate::device::{DeviceWork, PooledBuffer};
-use crate::engine::{Binned, GROUP};
+use crate::groups::GROUP;
 use crate::shaders::{BACKWARD, BLEND, FRONT, GATHER, SUM_SLOTS, UNPROJECT};
 
 /// Pixels of a tile.

@@ -2,43 +2,20 @@
 //! once, and only its results are downloaded; the splats stay there.
 
 use crate::GpuError;
-use crate::compare::{
-    ComparisonInputs, GpuPhoto, GpuPhotoCache, Graded, LIGHT, StepReadback, compare, total,
-};
-use crate::device::{DeviceWork, GpuDevice, PooledBuffer};
-use crate::engine::{Binned, Cloud, GROUP, bin};
-use crate::nets::{GpuNetworks, NetworkLighting, PIECE};
+use crate::bin::{Binned, Cloud, bin};
+use crate::compare::{ComparisonInputs, GpuPhoto, Graded, LIGHT, StepReadback, compare, total};
+use crate::device::{DeviceWork, PooledBuffer};
+use crate::groups::GROUP;
+use crate::nets::{NetworkLighting, PIECE};
 use crate::optimiser::{Groups, StepGrads};
+use crate::parameters::{GpuParameters, GpuSplatEmbeddings, GpuTraining};
 use crate::passes::ShapeGrads;
 use crate::shaders::{OBSERVE, SELECT, SHADE, SHADE_BACKWARD, TINT, TINT_BACKWARD};
 use segwild_objective::compare::LossOutput;
-use segwild_objective::{
-    EmbedAppearance, EmbedLight, Held, NetworksStep, Reshaped, Resident, SplatEmbeddings, TrainingStep,
-};
+use segwild_objective::{EmbedLight, Held, NetworksStep, Reshaped, Resident, SplatEmbeddings, TrainingStep};
 use segwild_raster::{ProjectOptions, RasterError, check};
 use segwild_scene::{Camera, Pose, Splats};
 use std::sync::Arc;
-
-/// Splats or their moments.
-pub(crate) struct GpuParameters {
-    pub shapes: Arc<Cloud>,
-    /// `[splat][basis function][r, g, b]`.
-    pub sh: PooledBuffer,
-}
-
-impl GpuParameters {
-    fn upload(work: &mut DeviceWork, splats: &Splats) -> Result<GpuParameters, GpuError> {
-        let shapes = Arc::new(Cloud::upload(work, splats)?);
-        Ok(GpuParameters { shapes, sh: work.upload("the splats' harmonics", &splats.sh)? })
-    }
-
-    fn read(&self, work: &mut DeviceWork, sh_degree: u32) -> Result<Splats, GpuError> {
-        let mut splats = Splats { sh_degree, ..Splats::default() };
-        self.shapes.read(work, &mut splats)?;
-        splats.sh = work.read(&self.sh, self.shapes.splats * splats.sh_stride())?;
-        Ok(splats)
-    }
-}
 
 /// A rendered view.
 pub(crate) struct GpuRender<'a> {
@@ -74,77 +51,7 @@ struct Parents {
     count: usize,
 }
 
-/// Appearance embeddings of splats and their moments.
-pub(crate) struct GpuSplatEmbeddings {
-    pub values: PooledBuffer,
-    pub first: PooledBuffer,
-    pub second: PooledBuffer,
-    /// Length of an embedding.
-    pub width: usize,
-}
-
-impl GpuSplatEmbeddings {
-    /// Numbers of an embedding before those of the appearance model `embed`.
-    pub fn before(&self) -> usize {
-        self.width - EmbedAppearance::EMBEDDING_SIZE
-    }
-
-    /// A job over so many splats, for the part of the appearance model `embed`.
-    fn job(&self, splats: usize) -> [u32; 4] {
-        [splats, self.width / 4, self.before() / 4, 0].map(|n| n as u32)
-    }
-}
-
-/// Splats in training on the device.
-pub(crate) struct GpuTraining {
-    device: Arc<GpuDevice>,
-    photos_on_device: Arc<GpuPhotoCache>,
-    sh_degree: u32,
-    pub splats: GpuParameters,
-    pub first: GpuParameters,
-    pub second: GpuParameters,
-    /// For density control: gradient, error, steps, radius.
-    sums: PooledBuffer,
-    pub splat_embeddings: Option<GpuSplatEmbeddings>,
-    pub networks: Option<GpuNetworks>,
-}
-
 impl GpuTraining {
-    pub fn new(
-        device: &Arc<GpuDevice>,
-        photos_on_device: &Arc<GpuPhotoCache>,
-        held: &Held,
-    ) -> Result<GpuTraining, GpuError> {
-        let mut work = device.work();
-        Ok(GpuTraining {
-            sh_degree: held.splats.sh_degree,
-            splats: GpuParameters::upload(&mut work, &held.splats)?,
-            first: GpuParameters::upload(&mut work, &held.first)?,
-            second: GpuParameters::upload(&mut work, &held.second)?,
-            sums: work.upload("the sums for density control", &held.sums)?,
-            splat_embeddings: match &held.splat_embeddings.values {
-                none if none.is_empty() => None,
-                values => Some(GpuSplatEmbeddings {
-                    values: work.upload("the splats' embeddings", values)?,
-                    first: work.upload("the embeddings' first moments", &held.splat_embeddings.first)?,
-                    second: work.upload("the embeddings' second moments", &held.splat_embeddings.second)?,
-                    width: values.len() / held.splats.len(),
-                }),
-            },
-            networks: match &held.networks {
-                Some(networks) => Some(GpuNetworks::upload(&mut work, networks)?),
-                None => None,
-            },
-            device: device.clone(),
-            photos_on_device: photos_on_device.clone(),
-        })
-    }
-
-    /// Numbers of a splat's harmonics.
-    pub fn sh_stride(&self) -> usize {
-        3 * (self.sh_degree as usize + 1).pow(2)
-    }
-
     fn try_step(&self, step: &TrainingStep) -> Result<(LossOutput, Option<EmbedLight>), GpuError> {
         loop {
             let work = &mut self.device.work();

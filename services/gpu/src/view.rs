@@ -2,38 +2,19 @@
 //! gradients are downloaded.
 
 use crate::GpuError;
+use crate::bin::Binned;
 use crate::device::{DeviceWork, GpuDevice, PooledBuffer, lock};
-use crate::engine::Binned;
-use crate::field::{GpuFeatureTarget, GpuField, GpuSums};
 use crate::kept::GpuChannels;
+use crate::packing::{at_once, gathered_at_once, pack_image, pack_splats, unpack_image};
 use crate::passes::ShapeGrads;
 use glam::Vec3;
 use rayon::prelude::*;
-use segwild_objective::field::{FeatureTarget, SampledPixels};
 use segwild_raster::{
     Channels, Frame, FrameGrad, Kept, Projected, RasterError, SplatGrads, shade, shade_backward,
 };
 use segwild_scene::{Image, Splats};
 use std::any::Any;
 use std::sync::{Arc, Mutex};
-
-/// Items that one task packs.
-const CHUNK: usize = 1 << 14;
-
-/// Number of vec4 of so many channels that a view blends at once.
-pub(crate) fn at_once(count: usize) -> usize {
-    if count <= 4 { 1 } else { 4 }
-}
-
-/// Number of vec4 that it gathers at once.
-pub(crate) fn gathered_at_once(count: usize) -> usize {
-    if count <= 4 { 1 } else { 2 }
-}
-
-/// The first channels of the parts that are blended at once.
-pub(crate) fn parts_of(count: usize) -> impl Iterator<Item = usize> {
-    (0..count).step_by(at_once(count) * 4)
-}
 
 /// Source of the channels that a view blends.
 #[derive(Clone, Copy)]
@@ -54,11 +35,11 @@ pub(crate) struct GpuProjected<'a> {
 
 /// A view on the device.
 pub(crate) struct GpuView {
-    device: Arc<GpuDevice>,
+    pub device: Arc<GpuDevice>,
     splats: usize,
     width: usize,
     height: usize,
-    on: Binned,
+    pub on: Binned,
     /// Light per pixel at the start of each bucket, once something was blended.
     lights: Mutex<Option<PooledBuffer>>,
 }
@@ -104,7 +85,7 @@ impl GpuView {
         (self.width, self.height)
     }
 
-    fn pixels(&self) -> usize {
+    pub fn pixels(&self) -> usize {
         self.width * self.height
     }
 
@@ -155,7 +136,7 @@ impl GpuView {
     }
 
     /// Runs with the light at the buckets, from the last blend or from a blend of no channels.
-    fn with_lights<T>(
+    pub fn with_lights<T>(
         &self,
         work: &mut DeviceWork,
         run: impl FnOnce(&mut DeviceWork, &PooledBuffer) -> Result<T, GpuError>,
@@ -172,58 +153,16 @@ impl GpuView {
     }
 
     /// Whether this is the view's device. A device that is held has a unique address.
-    fn is_on(&self, device: &Arc<GpuDevice>) -> bool {
+    pub fn is_on(&self, device: &Arc<GpuDevice>) -> bool {
         Arc::ptr_eq(device, &self.device)
     }
 
-    pub fn try_refine(
-        &self,
-        field: &GpuField,
-        feature_target: &FeatureTarget,
-        sampled: &SampledPixels,
-    ) -> Result<(), GpuError> {
-        let work = &mut self.device.work();
-        let kept =
-            feature_target.on_device.and_then(|on_device| on_device.downcast_ref::<GpuFeatureTarget>());
-        let up;
-        let feature_target = match kept.filter(|feature_target| self.is_on(&feature_target.device)) {
-            Some(feature_target) => feature_target,
-            None => {
-                up = GpuFeatureTarget::upload(&self.device, work, feature_target)?;
-                &up
-            }
-        };
-        let count = field.rows.count();
-        let step = field.start(work, feature_target, sampled)?;
-        let (grads, blocks) = self.with_lights(work, |work, lights| {
-            let blocks = at_once(count);
-            let alpha = work.take::<f32>("alpha", self.pixels())?;
-            for first in parts_of(count) {
-                let image = self.on.blend(work, blocks, field.rows.part(first), false, &alpha, lights)?;
-                step.take(work, first / 4, blocks, &image);
-            }
-            step.compute_losses(work)?;
-            let blocks = gathered_at_once(count);
-            let grads = (0..count).step_by(blocks * 4).map(|first| {
-                let image = step.gradients(work, first / 4, blocks)?;
-                self.on.gather(work, blocks, &image, lights)
-            });
-            Ok((grads.collect::<Result<Vec<_>, _>>()?, blocks))
-        })?;
-        step.finish(work, &grads, blocks)
-    }
-
-    pub fn try_lift(&self, sums: &GpuSums, image: &Image) -> Result<(), GpuError> {
-        if self.on.pairs == 0 {
-            return Ok(());
-        }
-        let work = &mut self.device.work();
-        let (results, blocks) = self.gathered(work, image)?;
-        sums.add_view(work, &results, blocks)
-    }
-
     /// Sums of an image per splat, in parts of so many vec4, kept on the device.
-    fn gathered(&self, work: &mut DeviceWork, image: &Image) -> Result<(Vec<PooledBuffer>, usize), GpuError> {
+    pub fn gathered(
+        &self,
+        work: &mut DeviceWork,
+        image: &Image,
+    ) -> Result<(Vec<PooledBuffer>, usize), GpuError> {
         let blocks = gathered_at_once(image.channels);
         let parts = self.with_lights(work, |work, lights| {
             let mut parts = Vec::new();
@@ -358,52 +297,4 @@ impl Projected for GpuProjected<'_> {
     fn shade_backward(&self, colours: &[f32], grads: &mut SplatGrads) -> Vec<f32> {
         shade_backward(self.splats, self.eye, &self.radii, colours, grads)
     }
-}
-
-/// Channels `first..first + 4 blocks` of every splat; with `one`, a channel of value 1 follows the last.
-pub(crate) fn pack_splats(
-    values: &[f32],
-    n: usize,
-    count: usize,
-    first: usize,
-    blocks: usize,
-    one: bool,
-) -> Vec<f32> {
-    let wide = blocks * 4;
-    let mut out = vec![0.0; n * wide];
-    let many = count.saturating_sub(first).min(wide);
-    out.par_chunks_mut(wide).with_min_len(CHUNK / wide).enumerate().for_each(|(i, out)| {
-        out[..many].copy_from_slice(&values[i * count + first..i * count + first + many]);
-        if one {
-            out[many] = 1.0;
-        }
-    });
-    out
-}
-
-/// Planes `first..first + 4 blocks` of an image, pixel by pixel; `alpha` is the plane after the last.
-pub(crate) fn pack_image(image: &Image, first: usize, blocks: usize, alpha: Option<&Image>) -> Vec<f32> {
-    let (pixels, wide) = (image.width * image.height, blocks * 4);
-    let mut planes: Vec<&[f32]> =
-        image.data.chunks_exact(pixels).skip(first).take((image.channels - first).min(wide)).collect();
-    planes.extend(alpha.map(|alpha| alpha.data.as_slice()));
-    let mut out = vec![0.0; pixels * wide];
-    out.par_chunks_mut(CHUNK * wide).enumerate().for_each(|(chunk, out)| {
-        for (c, plane) in planes.iter().enumerate() {
-            for (out, &x) in out[c..].iter_mut().step_by(wide).zip(&plane[chunk * CHUNK..]) {
-                *out = x;
-            }
-        }
-    });
-    out
-}
-
-/// Puts `wide` numbers per pixel into the planes from `first` on, as many as there are.
-pub(crate) fn unpack_image(packed: &[f32], wide: usize, first: usize, image: &mut Image) {
-    let pixels = image.width * image.height;
-    image.data.par_chunks_mut(pixels).skip(first).take(wide).enumerate().for_each(|(c, plane)| {
-        for (x, &from) in plane.iter_mut().zip(packed[c..].iter().step_by(wide)) {
-            *x = from;
-        }
-    });
 }

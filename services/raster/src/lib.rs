@@ -29,7 +29,6 @@
 
 mod cpu;
 mod engine;
-mod kept;
 pub mod reference;
 pub mod sh;
 mod shade;
@@ -39,7 +38,6 @@ pub use cpu::{
     ALPHA_MAX, ALPHA_MIN, CpuEngine, FrontLayer, Isa, LOG2_ALPHA_MIN, NO_SPLAT, SLACK, T_MIN, jacobian_limits,
 };
 pub use engine::{
-    Channels, Frame, FrameGrad, ProjectOptions, Projected, RasterError, Rasterizer, SplatGrads, check,
+    Channels, Frame, FrameGrad, Kept, ProjectOptions, Projected, RasterError, Rasterizer, SplatGrads, check,
 };
-pub use kept::Kept;
 pub use shade::{shade, shade_backward};

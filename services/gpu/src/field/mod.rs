@@ -11,10 +11,11 @@ pub(crate) use sums::GpuSums;
 
 use crate::GpuError;
 use crate::device::{DeviceWork, GpuDevice, PooledBuffer, lock};
-use crate::engine::GROUP;
+use crate::groups::GROUP;
 use crate::nets::{GpuTape, GpuWeights, Link, NetworkPlan};
+use crate::packing::{at_once, gathered_at_once, parts_of};
 use crate::shaders::{AREA_AVERAGE, AREA_SPREAD, EMBEDDING_LOSS};
-use crate::view::{GpuView, at_once};
+use crate::view::GpuView;
 use pairs::Pairs;
 use segwild_objective::field::{
     DeviceRefinement, FeatureTarget, FieldLosses, FieldRule, Refined, Refining, SampledPixels,
@@ -87,6 +88,44 @@ impl GpuField {
         // Of all cells there are.
         let count = work.upload("how many cells there are", &[feature_target.cells as u32])?;
         Ok(FieldStep { field: self, feature_target, tape: GpuTape::new(work, &plan)?, plan, pairs, count })
+    }
+
+    /// A step of the features in a view.
+    fn try_step(
+        &self,
+        view: &GpuView,
+        feature_target: &FeatureTarget,
+        sampled: &SampledPixels,
+    ) -> Result<(), GpuError> {
+        let work = &mut view.device.work();
+        let kept =
+            feature_target.on_device.and_then(|on_device| on_device.downcast_ref::<GpuFeatureTarget>());
+        let up;
+        let feature_target = match kept.filter(|feature_target| view.is_on(&feature_target.device)) {
+            Some(feature_target) => feature_target,
+            None => {
+                up = GpuFeatureTarget::upload(&view.device, work, feature_target)?;
+                &up
+            }
+        };
+        let count = self.rows.count();
+        let step = self.start(work, feature_target, sampled)?;
+        let (grads, blocks) = view.with_lights(work, |work, lights| {
+            let blocks = at_once(count);
+            let alpha = work.take::<f32>("alpha", view.pixels())?;
+            for first in parts_of(count) {
+                let image = view.on.blend(work, blocks, self.rows.part(first), false, &alpha, lights)?;
+                step.take(work, first / 4, blocks, &image);
+            }
+            step.compute_losses(work)?;
+            let blocks = gathered_at_once(count);
+            let grads = (0..count).step_by(blocks * 4).map(|first| {
+                let image = step.gradients(work, first / 4, blocks)?;
+                view.on.gather(work, blocks, &image, lights)
+            });
+            Ok((grads.collect::<Result<Vec<_>, _>>()?, blocks))
+        })?;
+        step.finish(work, &grads, blocks)
     }
 }
 
@@ -239,6 +278,6 @@ impl DeviceRefinement for GpuField {
     ) -> Result<(), RasterError> {
         let view = GpuView::of(view, &self.device);
         assert_eq!(feature_target.average.from(), view.size(), "refine: width, height");
-        Ok(view.try_refine(self, feature_target, sampled)?)
+        Ok(self.try_step(view, feature_target, sampled)?)
     }
 }

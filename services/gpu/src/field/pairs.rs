@@ -6,7 +6,7 @@
 
 use crate::GpuError;
 use crate::device::{DeviceWork, PooledBuffer};
-use crate::engine::GROUP;
+use crate::groups::GROUP;
 use crate::nets::{GpuTape, NetworkPlan};
 use crate::shaders::{ADD_PULL, MATES, PAIRS, PULL, SAMPLED, TOTAL, UNITS};
 use segwild_objective::field::{Membership, SampledPixels};

@@ -2,9 +2,9 @@
 
 use crate::GpuError;
 use crate::device::{DeviceWork, GpuDevice, PooledBuffer};
-use crate::engine::GROUP;
+use crate::groups::GROUP;
+use crate::packing::pack_splats;
 use crate::shaders::{ROW_STATE, ROW_STEP};
-use crate::view::pack_splats;
 use segwild_raster::{Channels, RasterError};
 use std::sync::Arc;
 

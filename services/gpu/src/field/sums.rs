@@ -3,9 +3,10 @@
 use super::rows::states;
 use crate::GpuError;
 use crate::device::{DeviceWork, GpuDevice, PooledBuffer};
-use crate::engine::GROUP;
+use crate::groups::GROUP;
+use crate::packing::gathered_at_once;
 use crate::shaders::ROW_ADD;
-use crate::view::{GpuView, gathered_at_once};
+use crate::view::GpuView;
 use segwild_objective::field::DeviceLifting;
 use segwild_raster::{Projected, RasterError};
 use segwild_scene::Image;
@@ -62,6 +63,16 @@ impl GpuSums {
         work.hand_in();
         Ok(())
     }
+
+    /// Adds the sums of an image over a view.
+    fn try_add(&self, view: &GpuView, image: &Image) -> Result<(), GpuError> {
+        if view.on.pairs == 0 {
+            return Ok(());
+        }
+        let work = &mut view.device.work();
+        let (results, blocks) = view.gathered(work, image)?;
+        self.add_view(work, &results, blocks)
+    }
 }
 
 impl DeviceLifting for GpuSums {
@@ -86,6 +97,6 @@ impl DeviceLifting for GpuSums {
         let view = GpuView::of(view, &self.device);
         view.assert_image(image, self.count(), "lift");
         assert_eq!(self.rows, view.splats(), "splats");
-        Ok(view.try_lift(self, image)?)
+        Ok(self.try_add(view, image)?)
     }
 }

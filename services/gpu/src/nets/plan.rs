@@ -6,7 +6,7 @@
 use super::layer::{ADD, COUNTED, LayerUniform, NOWHERE, RELU};
 use crate::GpuError;
 use crate::device::{DeviceWork, PooledBuffer};
-use crate::engine::GROUP;
+use crate::groups::GROUP;
 use crate::shaders::{CONVOLVE, CONVOLVE_WEIGHTS, GATE, JOIN, Kernel, NORM, NORM_BACKWARD, SUM_WEIGHTS};
 use segwild_nn::{Id, LayerKind, NetworkGraph, OpKind};
 use std::ops::Range;

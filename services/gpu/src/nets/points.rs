@@ -5,10 +5,11 @@
 use super::plan::{GpuTape, GpuWeights, Link, NetworkPlan};
 use crate::GpuError;
 use crate::device::{DeviceWork, PooledBuffer};
-use crate::engine::{GROUP, scan, sort};
+use crate::groups::GROUP;
 use crate::shaders::{
     ADD_LIGHT, IN_SIGHT, MAP_SUMS, PICK, READ_LIGHT, READ_LIGHT_BACKWARD, TAKE_LIGHT, VISIBILITY,
 };
+use crate::sort::{scan, sort};
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use segwild_nn::Mlp;

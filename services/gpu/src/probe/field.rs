@@ -4,7 +4,7 @@ use super::device_passes::DevicePasses;
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::field::{GpuFeatureTarget, GpuField, GpuRows};
 use crate::kept::GpuChannels;
-use crate::view::{at_once, gathered_at_once, pack_image, pack_splats, parts_of, unpack_image};
+use crate::packing::{at_once, gathered_at_once, pack_image, pack_splats, parts_of, unpack_image};
 use crate::{GpuEngine, GpuError};
 use segwild_objective::field::{
     DeviceRefinement, FeatureTarget, FieldLosses, Queries, Refined, Refining, SampledPixels,

@@ -1,11 +1,11 @@
 //! The losses of a photo.
 
 use super::device_passes::DevicePasses;
+use crate::bin::{Binned, Cloud, bin};
 use crate::compare::{ComparisonInputs, GpuPhoto, Graded, StepReadback, compare};
 use crate::device::{DeviceWork, PooledBuffer};
-use crate::engine::{Binned, Cloud, bin};
 use crate::nets::Visible;
-use crate::view::pack_image;
+use crate::packing::pack_image;
 use crate::{GpuEngine, GpuError};
 use segwild_objective::compare::{LossInputs, LossOutput, PhotoTarget};
 use segwild_raster::{Frame, ProjectOptions};

@@ -2,7 +2,7 @@
 
 use super::device_passes::DevicePasses;
 use crate::device::{DeviceWork, PooledBuffer};
-use crate::engine::GROUP;
+use crate::groups::GROUP;
 use crate::shaders::RATE;
 use crate::{GpuEngine, GpuError};
 

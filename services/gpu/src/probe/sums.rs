@@ -1,6 +1,6 @@
 //! Running sums and the sort.
 
-use crate::engine::{scan, sort};
+use crate::sort::{scan, sort};
 use crate::{GpuEngine, GpuError};
 
 /// For each number the sum of those before it; sums that do not fit stay at the largest number.

@@ -1,10 +1,12 @@
 //! The passes over a view, and the lists that it keeps on the device.
 
 use super::device_passes::DevicePasses;
+use crate::bin::{BUCKET, Binned, Cloud, bin};
 use crate::device::{DeviceWork, PooledBuffer};
-use crate::engine::{BUCKET, Binned, Cloud, GROUP, TILE, bin, sort};
+use crate::groups::{GROUP, TILE};
 use crate::passes::PIXELS;
 use crate::shaders::SHADE;
+use crate::sort::sort;
 use crate::{GpuEngine, GpuError};
 use segwild_raster::ProjectOptions;
 use segwild_scene::{Camera, Pose, Splats};

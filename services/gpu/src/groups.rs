@@ -1,0 +1,6 @@
+//! Sizes of thread groups, of tiles, and of the channels that pass through them at once.
+
+/// Threads of a group that does one item per thread.
+pub(crate) const GROUP: usize = 256;
+/// Width and height of a tile; as in `shaders/shared/common.wgsl`.
+pub(crate) const TILE: u32 = 16;
