@@ -27,5 +27,7 @@ pub use engine::{
     JobStatus, Published, WorkerOffer,
 };
 pub use job::{Job, Needs, Retry};
-pub use manifest::{BatchManifest, ManifestError, SceneJob};
+pub use manifest::{
+    BatchManifest, FolderTaken, ManifestError, ManifestFileError, MemorySizeError, SceneEntryError, SceneJob,
+};
 pub use turn::{JobTurn, turns};

@@ -367,7 +367,7 @@ pub fn renamed(name: &str) -> Option<&'static str> {
 fn read_pairs(file: &Path, read: std::io::Result<Vec<u8>>) -> Result<Vec<(String, String)>, SettingsError> {
     let wrong = |reason: String| SettingsError::File { file: file.to_path_buf(), reason };
     let bytes = read.map_err(|source| SettingsError::Read { file: file.to_path_buf(), source })?;
-    let text = segwild_scene::text::decode(bytes).map_err(wrong)?;
+    let text = segwild_scene::text::decode(bytes).map_err(|e| wrong(e.to_string()))?;
     let tables: toml::Table = text.parse().map_err(|e: toml::de::Error| wrong(e.to_string()))?;
     let catalogue = Settings::catalogue();
     let mut pairs = Vec::new();

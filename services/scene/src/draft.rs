@@ -1,13 +1,15 @@
 //! A reconstruction as its files give it, before anything is checked against the photos.
 
-use crate::SceneError;
 use crate::colmap::{self, ImageRecord};
-use crate::lens::Lens;
+use crate::lens::{Lens, LensError};
+use crate::photo_files::LocateError;
 use crate::ply;
 use crate::split::Split;
+use crate::{DecodeError, SceneError};
 use glam::{DMat3, DQuat, DVec3};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// A reconstruction in one form, whatever its files were.
 #[derive(Debug, Default)]
@@ -27,11 +29,57 @@ pub(crate) struct Draft {
 pub(crate) struct DraftPhoto {
     pub name: String,
     /// Its file, if the reconstruction names one, or why it is missing; `None`: it is searched by name.
-    pub file: Option<Result<PathBuf, String>>,
+    pub file: Option<Result<PathBuf, LocateError>>,
     /// Its mask of the pixels to use, if the reconstruction names one.
     pub usable: Option<PathBuf>,
-    pub lens: Result<Lens, String>,
-    pub pose: Result<DraftPose, String>,
+    pub lens: Result<Lens, DraftLensError>,
+    pub pose: Result<DraftPose, PoseError>,
+}
+
+/// Why a photo of a reconstruction has no lens.
+#[derive(Clone, Debug, thiserror::Error)]
+pub(crate) enum DraftLensError {
+    /// Its camera's parameters are those of no lens.
+    #[error(transparent)]
+    Lens(#[from] LensError),
+    #[error("there is no camera {camera}, which it says it has")]
+    NoCamera { camera: u32 },
+    #[error(
+        "its camera {camera} has the model {model}, which is not known here; undistort the photos with COLMAP's image_undistorter \
+         first"
+    )]
+    UnknownModel { camera: u32, model: String },
+    #[error("its frame says that the photo has {width} x {height} pixels")]
+    FrameSize { width: f64, height: f64 },
+    /// Its frame gives no size, and the photo cannot be read for it.
+    #[error(transparent)]
+    PhotoSize(Arc<DecodeError>),
+    #[error("its frame gives no focal length (fl_x or camera_angle_x)")]
+    NoFocal,
+    #[error("camera model EQUIRECTANGULAR is a panorama: cut perspective photos out of it first")]
+    Panorama,
+    #[error("camera model ORTHOPHOTO has no perspective: no scene can be made from it")]
+    Orthographic,
+    #[error("instant-ngp's f-theta lens cannot be undistorted; undistort the photos first")]
+    FTheta,
+    #[error("camera model {0} cannot be undistorted; undistort the photos first")]
+    FrameModel(String),
+}
+
+/// Why a photo of a reconstruction has no pose.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum PoseError {
+    #[error("its pose is not finite")]
+    NotFinite,
+    #[error("the quaternion of its pose is zero")]
+    ZeroQuaternion,
+    #[error("its transform_matrix is not 4 x 4")]
+    MatrixSize,
+    #[error("the matrix of its pose is not a rotation")]
+    NoRotation,
+    /// COLMAP's id of an image, which tracks refer to.
+    #[error("its image id {0} belongs to another photo too")]
+    SharedId(u32),
 }
 
 /// World to camera, in the file's units.
@@ -67,19 +115,14 @@ pub(crate) fn from_colmap(dir: &Path) -> Result<Draft, SceneError> {
     for (i, image) in reconstruction.images.iter().enumerate() {
         let mut pose = pose_of(image);
         if *by_id.entry(image.id).or_insert(i) != i {
-            pose = Err(format!("its image id {} belongs to another photo too", image.id));
+            pose = Err(PoseError::SharedId(image.id));
         }
-        let lens = lenses.get(&image.camera_id).cloned();
-        let lens = lens.unwrap_or_else(|| {
-            let id = image.camera_id;
-            Err(match unknown.get(&id) {
-                Some(model) => format!(
-                    "its camera {id} has the model {model}, which is not known here; undistort the photos with COLMAP's \
-                     image_undistorter first"
-                ),
-                None => format!("there is no camera {id}, which it says it has"),
-            })
-        });
+        let camera = image.camera_id;
+        let lens = match (lenses.get(&camera), unknown.get(&camera)) {
+            (Some(lens), _) => lens.clone().map_err(DraftLensError::Lens),
+            (None, Some(model)) => Err(DraftLensError::UnknownModel { camera, model: (*model).clone() }),
+            (None, None) => Err(DraftLensError::NoCamera { camera }),
+        };
         photos.push(DraftPhoto { name: image.name.clone(), file: None, usable: None, lens, pose });
     }
     let points = reconstruction.points.iter().map(|point| {
@@ -113,25 +156,25 @@ pub(crate) fn cloud(ply: &Path) -> Result<Vec<DraftPoint>, SceneError> {
     Ok(ply::read_points(ply)?.into_iter().map(point).collect())
 }
 
-fn pose_of(image: &ImageRecord) -> Result<DraftPose, String> {
+fn pose_of(image: &ImageRecord) -> Result<DraftPose, PoseError> {
     let [w, x, y, z] = image.rotation;
     let (q, t) = (DQuat::from_xyzw(x, y, z, w), DVec3::from(image.translation));
     if !q.is_finite() || !t.is_finite() {
-        return Err("its pose is not finite".into());
+        return Err(PoseError::NotFinite);
     }
     let length = q.length();
     if length < 1e-9 || !length.is_finite() {
-        return Err("the quaternion of its pose is zero".into());
+        return Err(PoseError::ZeroQuaternion);
     }
     let rotation = DMat3::from_quat(q / length);
     finite(DraftPose { rotation, centre: -(rotation.transpose() * t) })
 }
 
 /// Refuses a camera centre that is not finite or too far away for f64 arithmetic.
-pub(crate) fn finite(pose: DraftPose) -> Result<DraftPose, String> {
+pub(crate) fn finite(pose: DraftPose) -> Result<DraftPose, PoseError> {
     if pose.centre.is_finite() && pose.centre.abs().max_element() < 1e30 {
         Ok(pose)
     } else {
-        Err("its pose is not finite".into())
+        Err(PoseError::NotFinite)
     }
 }

@@ -1,6 +1,8 @@
 //! Errors of a scene's files, with messages for a person.
 
+use crate::decode::DecodeError;
 use segwild_files::FileError;
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 /// Why a scene, a photo, a mask or a file of splats cannot be read or written.
@@ -53,7 +55,7 @@ pub enum SceneError {
         /// The file.
         path: PathBuf,
         /// What is wrong.
-        reason: String,
+        reason: PhotoError,
     },
     /// A photo, or the mask that belongs to it, is not the file any more that it was when the scene was opened. The same scene,
     /// opened again, may do without it.
@@ -102,7 +104,71 @@ impl SceneError {
     }
 
     /// The file holds something that cannot be.
-    pub fn invalid(path: &Path, location: impl Into<String>, reason: impl Into<String>) -> SceneError {
-        SceneError::Invalid { path: path.to_owned(), location: location.into(), reason: reason.into() }
+    pub fn invalid(path: &Path, location: impl Into<String>, reason: impl Display) -> SceneError {
+        SceneError::Invalid { path: path.to_owned(), location: location.into(), reason: reason.to_string() }
     }
+}
+
+/// The error of a reader or renderer that a higher floor supplies to a lower one, which reports it and never matches it.
+pub type ReaderError = Box<dyn std::error::Error + Send + Sync>;
+
+/// All that can be wrong with a photo: its file, its size, its masks. [`SceneError::Photo`] adds its name and path.
+#[derive(Debug, thiserror::Error)]
+pub enum PhotoError {
+    /// The file cannot be decoded.
+    #[error(transparent)]
+    Decode(#[from] DecodeError),
+    /// Its pixels are turned against its EXIF orientation: nothing says which way.
+    #[error(
+        "some program has turned its pixels since it was taken (it has {width} x {height}, its camera is for {camera_width} x \
+         {camera_height}): put the photo back that was reconstructed"
+    )]
+    TurnedSince {
+        /// Width as stored, in pixels.
+        width: u32,
+        /// Height as stored.
+        height: u32,
+        /// Width that the camera is for.
+        camera_width: u32,
+        /// Height that the camera is for.
+        camera_height: u32,
+    },
+    /// The photo has another shape than its camera.
+    #[error(
+        "the photo has {width} x {height} pixels, but its camera is for {camera_width} x {camera_height}; the shapes differ, so the \
+         photo is not the one that was reconstructed"
+    )]
+    OtherShape {
+        /// Width as stored, in pixels.
+        width: u32,
+        /// Height as stored.
+        height: u32,
+        /// Width that the camera is for.
+        camera_width: u32,
+        /// Height that the camera is for.
+        camera_height: u32,
+    },
+    /// A mask has another shape than the photo.
+    #[error(
+        "its mask {mask} has {mask_width} x {mask_height} pixels, which does not fit the photo's {width} x {height}",
+        mask = mask.display()
+    )]
+    MaskShape {
+        /// The mask's file.
+        mask: PathBuf,
+        /// Width of the mask in pixels.
+        mask_width: u32,
+        /// Height of the mask.
+        mask_height: u32,
+        /// Width of the photo.
+        width: u32,
+        /// Height of the photo.
+        height: u32,
+    },
+    /// Its masks cover all of it.
+    #[error("its masks leave nothing of it")]
+    MaskedOut,
+    /// It has no opaque pixel.
+    #[error("all of it is transparent")]
+    Transparent,
 }

@@ -193,8 +193,8 @@ pub(crate) fn write_png(
     height: usize,
     colour: image::ExtendedColorType,
 ) -> Result<(), SceneError> {
-    let out = png(bytes, width as u32, height as u32, colour)
-        .map_err(|e| SceneError::invalid(path, "image", e.to_string()))?;
+    let out =
+        png(bytes, width as u32, height as u32, colour).map_err(|e| SceneError::invalid(path, "image", e))?;
     Ok(segwild_files::write_atomic(path, &out)?)
 }
 

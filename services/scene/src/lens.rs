@@ -93,6 +93,70 @@ impl CameraModel {
     }
 }
 
+/// Why parameters are those of no lens.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum LensError {
+    /// The model cannot be undistorted here.
+    #[error(
+        "this program does not undistort camera model {model}: undistort the photos with COLMAP's image_undistorter first, which does"
+    )]
+    Unsupported {
+        /// COLMAP's name of the model.
+        model: &'static str,
+    },
+    /// The model has another number of parameters.
+    #[error("{model} has {wanted} parameters, not {given}")]
+    ParamCount {
+        /// COLMAP's name of the model.
+        model: &'static str,
+        /// How many it has.
+        wanted: usize,
+        /// How many were given.
+        given: usize,
+    },
+    /// No photo has this size.
+    #[error("its camera says that the photo has {width} x {height} pixels")]
+    Size {
+        /// Width in pixels.
+        width: u64,
+        /// Height in pixels.
+        height: u64,
+    },
+    /// A parameter is not finite.
+    #[error("its camera has the parameter {0}")]
+    NotFinite(f64),
+    /// A focal length is 0 or less, in pixels.
+    #[error("its camera has the focal length {0}")]
+    NoFocal(f64),
+    /// A focal length is that of no lens for a photo of this size.
+    #[error(
+        "its camera has a focal length of {focal} pixels for a photo of {width} x {height}: the reconstruction went wrong there"
+    )]
+    Focal {
+        /// The focal length in pixels.
+        focal: f64,
+        /// Width of the photo in pixels.
+        width: f64,
+        /// Height of the photo.
+        height: f64,
+    },
+    /// The focal lengths differ too much.
+    #[error("its camera's focal lengths, {} and {} pixels, cannot be of one lens", .0[0], .0[1])]
+    UnevenFocals([f64; 2]),
+    /// The principal point lies too far outside of the photo.
+    #[error(
+        "its camera's principal point, ({}, {}), lies far outside of a photo of {width} x {height}", centre[0], centre[1]
+    )]
+    Centre {
+        /// The principal point in pixels.
+        centre: [f64; 2],
+        /// Width of the photo in pixels.
+        width: f64,
+        /// Height of the photo.
+        height: f64,
+    },
+}
+
 /// How the radius in the image grows with the angle, before the polynomials.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Projection {
@@ -141,48 +205,40 @@ const OUTSIDE: f64 = 2.0;
 
 /// Refuses a camera that no photo was taken with: rays of it are all but parallel, or all but perpendicular, and what is computed
 /// from it is no number.
-fn believable(size: [f64; 2], focal: [f64; 2], centre: [f64; 2]) -> Result<(), String> {
-    let long = size[0].max(size[1]);
-    if let Some(f) = focal.iter().find(|&&f| !FOCAL.contains(&(f / long))) {
-        return Err(format!(
-            "its camera has a focal length of {f} pixels for a photo of {} x {}: the reconstruction went wrong there",
-            size[0], size[1]
-        ));
+fn believable([width, height]: [f64; 2], focal: [f64; 2], centre: [f64; 2]) -> Result<(), LensError> {
+    let long = width.max(height);
+    if let Some(&focal) = focal.iter().find(|&&f| !FOCAL.contains(&(f / long))) {
+        return Err(LensError::Focal { focal, width, height });
     }
     if focal[0].max(focal[1]) > UNEVEN * focal[0].min(focal[1]) {
-        return Err(format!(
-            "its camera's focal lengths, {} and {} pixels, cannot be of one lens",
-            focal[0], focal[1]
-        ));
+        return Err(LensError::UnevenFocals(focal));
     }
     let far = |c: f64, size: f64| c < -OUTSIDE * size || c > (1.0 + OUTSIDE) * size;
-    if far(centre[0], size[0]) || far(centre[1], size[1]) {
-        return Err(format!(
-            "its camera's principal point, ({}, {}), lies far outside of a photo of {} x {}",
-            centre[0], centre[1], size[0], size[1]
-        ));
+    if far(centre[0], width) || far(centre[1], height) {
+        return Err(LensError::Centre { centre, width, height });
     }
     Ok(())
 }
 
 impl Lens {
-    /// A lens from COLMAP's parameters; the error says in words what is wrong with them.
-    pub fn new(model: CameraModel, width: u64, height: u64, params: &[f64]) -> Result<Lens, String> {
+    /// A lens from COLMAP's parameters.
+    ///
+    /// # Errors
+    /// The model cannot be undistorted, or its parameters are those of no lens.
+    pub fn new(model: CameraModel, width: u64, height: u64, params: &[f64]) -> Result<Lens, LensError> {
         let name = model.name();
         if model == CameraModel::RadTanThinPrismFisheye {
-            return Err(format!(
-                "this program does not undistort camera model {name}: undistort the photos with COLMAP's \
-                 image_undistorter first, which does"
-            ));
+            return Err(LensError::Unsupported { model: name });
         }
         if params.len() != model.param_count() {
-            return Err(format!("{name} has {} parameters, not {}", model.param_count(), params.len()));
+            let (wanted, given) = (model.param_count(), params.len());
+            return Err(LensError::ParamCount { model: name, wanted, given });
         }
         if width == 0 || height == 0 || width > LARGEST_SIDE || height > LARGEST_SIDE {
-            return Err(format!("its camera says that the photo has {width} x {height} pixels"));
+            return Err(LensError::Size { width, height });
         }
-        if let Some(bad) = params.iter().find(|p| !p.is_finite()) {
-            return Err(format!("its camera has the parameter {bad}"));
+        if let Some(&bad) = params.iter().find(|p| !p.is_finite()) {
+            return Err(LensError::NotFinite(bad));
         }
         let (focal, rest) = if model.has_one_focal() {
             ([params[0]; 2], &params[1..])
@@ -190,7 +246,7 @@ impl Lens {
             ([params[0], params[1]], &params[2..])
         };
         if focal.iter().any(|&f| f <= 0.0) {
-            return Err(format!("its camera has the focal length {}", focal[0].min(focal[1])));
+            return Err(LensError::NoFocal(focal[0].min(focal[1])));
         }
         let (centre, k) = ([rest[0], rest[1]], &rest[2..]);
         believable([width as f64, height as f64], focal, centre)?;

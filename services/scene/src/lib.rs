@@ -51,12 +51,12 @@ mod window;
 
 pub use camera::{Camera, Pose};
 pub use colourless::DARKEST;
-pub use decode::{limit_decoding, open_file};
+pub use decode::{DecodeError, limit_decoding, open_file};
 pub use embedding::Embedding;
-pub use error::SceneError;
+pub use error::{PhotoError, ReaderError, SceneError};
 pub use image::Image;
 pub use mask::{Mask, MaskSet, ScoredMask};
-pub use mask_files::MaskFiles;
+pub use mask_files::{MaskFileError, MaskFiles};
 pub use photo::LoadedPhoto;
 pub use photo_store::PhotoStore;
 pub use prompt::{BoxPrompt, PointPrompt, Prompts};
@@ -94,11 +94,14 @@ pub enum HoldOut {
 
 impl settings::Value for HoldOut {
     const KIND: &'static str = "N|auto|none";
-    fn read(text: &str) -> Result<Self, String> {
+    fn read(text: &str) -> Result<Self, settings::ValueError> {
         match text {
             "auto" => Ok(HoldOut::Auto),
             "none" | "0" => Ok(HoldOut::None),
-            _ => text.parse().map(HoldOut::Every).map_err(|_| "expected a whole number, auto or none".into()),
+            _ => text
+                .parse()
+                .map(HoldOut::Every)
+                .map_err(|_| settings::ValueError::Kind("a whole number, auto or none")),
         }
     }
 }

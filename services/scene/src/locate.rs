@@ -3,7 +3,7 @@
 use crate::decode::converted;
 use crate::draft::Draft;
 use crate::names::{Listing, below, is_inside, is_photo, key, stem, tidy};
-use crate::photo_files::{Claim, PHOTO_FOLDERS, no_file, photo_folders, settle};
+use crate::photo_files::{Claim, LocateError, PHOTO_FOLDERS, no_file, photo_folders, settle};
 use crate::{SceneError, SceneSettings};
 use crate::{colmap, draft, transforms};
 use rayon::prelude::*;
@@ -140,7 +140,7 @@ fn is_there(path: &Path) -> bool {
 }
 
 /// The file of each photo, or why there is none. A photo that is found by what is left of its name gets the name of the file.
-pub(crate) fn locate(draft: &mut Draft, images: &Path) -> Vec<Result<PathBuf, String>> {
+pub(crate) fn locate(draft: &mut Draft, images: &Path) -> Vec<Result<PathBuf, LocateError>> {
     let exact = |photo: &draft::DraftPhoto| match &photo.file {
         Some(file) => Some(file.clone()),
         None => {
@@ -149,12 +149,12 @@ pub(crate) fn locate(draft: &mut Draft, images: &Path) -> Vec<Result<PathBuf, St
             (is_inside(&photo.name) && (path.exists() || converted(&path).is_some())).then_some(Ok(path))
         }
     };
-    let mut located: Vec<Option<Result<PathBuf, String>>> = draft.photos.par_iter().map(exact).collect();
+    let mut located: Vec<Option<Result<PathBuf, LocateError>>> = draft.photos.par_iter().map(exact).collect();
     if located.iter().all(Option::is_some) {
         return located.into_iter().flatten().collect();
     }
     let listing = Listing::of(images);
-    let claim = |(photo, path): (&draft::DraftPhoto, Option<Result<PathBuf, String>>)| match path {
+    let claim = |(photo, path): (&draft::DraftPhoto, Option<Result<PathBuf, LocateError>>)| match path {
         Some(path) => path.map(|path| Claim { path, left: None }),
         None => match listing.tail(&photo.name) {
             Some(entry) => Ok(Claim::left(entry)),
@@ -187,7 +187,7 @@ fn renamed(draft: &Draft, found: &[(usize, String)]) -> Option<String> {
 }
 
 /// Photos that lie beside those of the reconstruction and that it does not hold, counted.
-pub(crate) fn unheld(draft: &Draft, located: &[Result<PathBuf, String>]) -> Option<String> {
+pub(crate) fn unheld(draft: &Draft, located: &[Result<PathBuf, LocateError>]) -> Option<String> {
     let held: HashSet<&Path> = located.iter().flatten().map(PathBuf::as_path).collect();
     let folders: BTreeSet<&Path> = held.iter().filter_map(|path| path.parent()).collect();
     // By their names, and by those without endings.

@@ -4,6 +4,36 @@ use crate::names::{Listing, ListingEntry, READ, key, last_part, stem};
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
+/// Why it is open which file is the mask of a photo.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum MaskFileError {
+    /// A file may be the mask of the photo or of another one, whose name differs in its ending alone.
+    #[error(
+        "{file} may be its mask or that of a photo which differs in its ending alone: name it {photo}.png",
+        file = file.display()
+    )]
+    Shared {
+        /// The file.
+        file: PathBuf,
+        /// The last part of the photo's name.
+        photo: String,
+    },
+    /// Two files may be its mask.
+    #[error(
+        "{one} and {two} may both be the mask of {photo}: keep one of them",
+        one = one.display(),
+        two = two.display()
+    )]
+    Two {
+        /// The first of them.
+        one: PathBuf,
+        /// The second.
+        two: PathBuf,
+        /// Name of the photo.
+        photo: String,
+    },
+}
+
 /// The masks in a folder, found by the names of photos. The naming of mask files is defined here and nowhere else.
 ///
 /// The mask of photo `a/b.jpg` is `a/b.jpg.png` (as COLMAP names it) or `a/b.png`; failing those, the same with another ending
@@ -40,8 +70,8 @@ impl MaskFiles {
     /// The mask of a photo; `None` where it has none.
     ///
     /// # Errors
-    /// In words, when two files may be its mask, or when one may be that of another photo as well.
-    pub fn find(&self, photo: &str) -> Result<Option<PathBuf>, String> {
+    /// Two files may be its mask, or one may be that of another photo as well.
+    pub fn find(&self, photo: &str) -> Result<Option<PathBuf>, MaskFileError> {
         let (usual, others) = READ.split_at(1);
         let key = key(photo);
         let only = |name: &String| self.short.get(stem(name)).is_none_or(|&n| n <= 1);
@@ -57,7 +87,7 @@ impl MaskFiles {
 
     /// Refuses a photo whose mask may be a file that may be another's too: without the mask, the photo would show what is to be
     /// left out.
-    fn not_shared(&self, photo: &str) -> Result<(), String> {
+    fn not_shared(&self, photo: &str) -> Result<(), MaskFileError> {
         let key = key(photo);
         let stem = stem(&key);
         if !self.shared.contains(stem) {
@@ -66,11 +96,9 @@ impl MaskFiles {
         let files = READ.iter().flat_map(|ending| self.listing.named(&format!("{stem}.{ending}")));
         match files.into_iter().next() {
             None => Ok(()),
-            Some(file) => Err(format!(
-                "{} may be its mask or that of a photo which differs in its ending alone: name it {}.png",
-                file.path.display(),
-                last_part(photo)
-            )),
+            Some(file) => {
+                Err(MaskFileError::Shared { file: file.path.clone(), photo: last_part(photo).to_owned() })
+            }
         }
     }
 
@@ -79,7 +107,7 @@ impl MaskFiles {
         photo: &str,
         names: &[String],
         endings: &[&str],
-    ) -> Result<Option<&ListingEntry>, String> {
+    ) -> Result<Option<&ListingEntry>, MaskFileError> {
         let mut found: Vec<&ListingEntry> = Vec::new();
         let shared = self.shared.contains(stem(&key(photo)));
         for name in names {
@@ -94,11 +122,11 @@ impl MaskFiles {
         match found[..] {
             [] => Ok(None),
             [one] => Ok(Some(one)),
-            [one, two, ..] => Err(format!(
-                "{} and {} may both be the mask of {photo}: keep one of them",
-                one.path.display(),
-                two.path.display()
-            )),
+            [one, two, ..] => Err(MaskFileError::Two {
+                one: one.path.clone(),
+                two: two.path.clone(),
+                photo: photo.to_owned(),
+            }),
         }
     }
 
@@ -132,7 +160,7 @@ mod tests {
             std::fs::write(dir.path().join(name), b"").unwrap();
         }
         let masks = MaskFiles::new(dir.path(), ["a.jpg", "a.png", "b.jpg", "b.jpg", "c.jpg", "c.png"]);
-        let a = [masks.find("a.jpg").unwrap_err(), masks.find("a.png").unwrap_err()];
+        let a = ["a.jpg", "a.png"].map(|photo| masks.find(photo).unwrap_err().to_string());
         assert!(a[0].contains("name it a.jpg.png") && a[1].contains("name it a.png.png"), "{a:?}");
         // One photo listed twice is one photo.
         assert_eq!(masks.find("b.jpg"), Ok(Some(dir.path().join("b.png"))));
@@ -187,7 +215,7 @@ mod tests {
         for (photo, file) in wanted {
             assert_eq!(found(photo).as_deref(), file, "{photo}");
         }
-        let both = masks.find("h.jpg").unwrap_err();
+        let both = masks.find("h.jpg").unwrap_err().to_string();
         assert!(both.contains("h.png") && both.contains("h.jpg.png"), "{both}");
     }
 }

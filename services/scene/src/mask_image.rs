@@ -38,8 +38,34 @@ impl Mask {
     /// The same, of at most so many pixels.
     pub(crate) fn read_within(path: &Path, most_pixels: u64) -> Result<Mask, SceneError> {
         let decoded = crate::image::read_file_within(path, most_pixels)?;
-        mask_of(&decoded, is_lossy(path)).map_err(|reason| SceneError::invalid(path, "image", reason))
+        mask_of(&decoded, is_lossy(path)).map_err(|e| SceneError::invalid(path, "image", e))
     }
+}
+
+/// Why an image is no mask.
+#[derive(Debug, thiserror::Error)]
+enum MaskImageError {
+    #[error("it has many colours: this is a photo or an illustration, not a mask of two values")]
+    Coloured,
+    /// The grey is in steps of the file.
+    #[error(
+        "all of it is one grey ({grey}): 0 means nothing of the photo, and 1 or the largest value all of it"
+    )]
+    OneGrey { grey: u16 },
+    #[error(
+        "its values are {low} to {high}, neither dark nor bright: write the mask as PNG, black and white"
+    )]
+    LossyGrey { low: u16, high: u16 },
+    #[error(
+        "its values are {low} to {high}, several and not two: an image of numbered regions is no mask; write one with two values"
+    )]
+    Numbers { low: u16, high: u16 },
+    #[error("{percent:.0} % of it is neither dark nor bright: this is a photo, not a mask of two values")]
+    Photo { percent: f64 },
+    #[error(
+        "{percent:.0} % of it are areas of a third value: an image of several regions is no mask; write one with two values"
+    )]
+    Regions { percent: f64 },
 }
 
 /// Whether the file's format changes values a little: JPEG, or WEBP, which may.
@@ -49,7 +75,7 @@ fn is_lossy(path: &Path) -> bool {
     read.is_ok() && (start[..2] == [0xff, 0xd8] || &start == b"RIFF")
 }
 
-fn mask_of(decoded: &DynamicImage, lossy: bool) -> Result<Mask, String> {
+fn mask_of(decoded: &DynamicImage, lossy: bool) -> Result<Mask, MaskImageError> {
     let pixels = MaskPixels::of(decoded);
     let mut values = pixels.values(|p| p[3] * brightness(p));
     if values.low == values.high {
@@ -59,9 +85,7 @@ fn mask_of(decoded: &DynamicImage, lossy: bool) -> Result<Mask, String> {
         }
         values = alpha;
     } else if pixels.coloured(&values) > COLOURED {
-        return Err(
-            "it has many colours: this is a photo or an illustration, not a mask of two values".into()
-        );
+        return Err(MaskImageError::Coloured);
     }
     if values.range() < NARROW && (lossy || !values.two_valued()) {
         return values.narrow(lossy);
@@ -103,42 +127,37 @@ impl Values {
         Mask::from_fn(w, h, |x, y| u32::from(self.values[y as usize * self.width + x as usize]) > middle)
     }
 
-    fn empty(&self) -> Result<Mask, String> {
-        Ok(Mask::empty(self.width as u32, self.height as u32))
+    fn empty(&self) -> Mask {
+        Mask::empty(self.width as u32, self.height as u32)
     }
 
-    fn full(&self) -> Result<Mask, String> {
-        Ok(Mask::full(self.width as u32, self.height as u32))
+    fn full(&self) -> Mask {
+        Mask::full(self.width as u32, self.height as u32)
     }
 
     /// A mask of one value.
-    fn constant(&self, lossy: bool) -> Result<Mask, String> {
+    fn constant(&self, lossy: bool) -> Result<Mask, MaskImageError> {
         match self.low {
-            0 => self.empty(),
+            0 => Ok(self.empty()),
             _ if lossy => self.narrow(lossy),
-            v if f32::from(v) == TOP || v == self.step => self.full(),
-            v => Err(format!(
-                "all of it is one grey ({}): 0 means nothing of the photo, and 1 or the largest value all of it",
-                v / self.step
-            )),
+            v if f32::from(v) == TOP || v == self.step => Ok(self.full()),
+            v => Err(MaskImageError::OneGrey { grey: v / self.step }),
         }
     }
 
     /// A mask whose values hardly differ. The decoder of a black JPEG may give 1.
-    fn narrow(&self, lossy: bool) -> Result<Mask, String> {
+    fn narrow(&self, lossy: bool) -> Result<Mask, MaskImageError> {
         if lossy && f32::from(self.high) < 2.0 * NARROW {
-            return self.empty();
+            return Ok(self.empty());
         }
         if lossy && f32::from(self.low) > TOP - 2.0 * NARROW {
-            return self.full();
+            return Ok(self.full());
         }
-        let values = format!("its values are {} to {}", self.low / self.step, self.high / self.step);
+        let (low, high) = (self.low / self.step, self.high / self.step);
         Err(if lossy {
-            format!("{values}, neither dark nor bright: write the mask as PNG, black and white")
+            MaskImageError::LossyGrey { low, high }
         } else {
-            format!(
-                "{values}, several and not two: an image of numbered regions is no mask; write one with two values"
-            )
+            MaskImageError::Numbers { low, high }
         })
     }
 
@@ -149,7 +168,7 @@ impl Values {
     }
 
     /// Refuses an image that is not two values with soft edges.
-    fn soft(&self, lossy: bool) -> Result<(), String> {
+    fn soft(&self, lossy: bool) -> Result<(), MaskImageError> {
         let numbers = !lossy && self.are_numbers();
         let is_middle = |v: u16| {
             let at = f32::from(v - self.low) / self.range();
@@ -158,10 +177,7 @@ impl Values {
         let (w, n) = (self.width, self.values.len() as f64);
         let amid = self.values.iter().filter(|&&v| is_middle(v)).count() as f64;
         if amid > (1.0 - TWO_VALUED) * n {
-            return Err(format!(
-                "{:.0} % of it is neither dark nor bright: this is a photo, not a mask of two values",
-                100.0 * amid / n
-            ));
+            return Err(MaskImageError::Photo { percent: 100.0 * amid / n });
         }
         let flat = |&i: &usize| {
             let (x, v) = (i % w, self.values[i]);
@@ -171,10 +187,7 @@ impl Values {
         };
         let flat = (0..self.values.len()).filter(flat).count() as f64;
         if flat > FLAT * n {
-            return Err(format!(
-                "{:.0} % of it are areas of a third value: an image of several regions is no mask; write one with two values",
-                100.0 * flat / n
-            ));
+            return Err(MaskImageError::Regions { percent: 100.0 * flat / n });
         }
         Ok(())
     }

@@ -17,7 +17,7 @@ impl Mask {
         let n = self.width() as usize * self.height() as usize;
         let bytes: Vec<u8> = (0..n).map(|i| if self.index(i) { 255 } else { 0 }).collect();
         crate::image::png(&bytes, self.width(), self.height(), image::ExtendedColorType::L8)
-            .map_err(|e| SceneError::invalid(Path::new("a mask"), "image", e.to_string()))
+            .map_err(|e| SceneError::invalid(Path::new("a mask"), "image", e))
     }
 
     /// Distance in pixels from each pixel's centre to that of the nearest pixel of the mask, row-major: 0 inside,

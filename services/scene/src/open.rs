@@ -1,15 +1,15 @@
 //! Opening a scene: find what is there, check it against the photos, normalise.
 
 use crate::decode::{self, ImageHead, pixels_of};
-use crate::draft::{Draft, DraftPhoto, DraftPoint, DraftPose};
+use crate::draft::{Draft, DraftLensError, DraftPhoto, DraftPoint, DraftPose, PoseError};
 use crate::frame::{Placed, Placing};
-use crate::locate::{find, folder_setting, locate, setting, unheld};
+use crate::locate::{LocateError, find, folder_setting, locate, setting, unheld};
 use crate::mask_files::MaskFiles;
 use crate::names::is_inside;
 use crate::split::{Split, SplitPart};
 use crate::{
-    DARKEST, HoldOut, Observation, Photo, Point, Pose, Reading, Scene, SceneError, SceneFrame, SceneSettings,
-    Seal, Skipped, View,
+    DARKEST, DecodeError, HoldOut, MaskFileError, Observation, Photo, PhotoError, Point, Pose, Reading,
+    Scene, SceneError, SceneFrame, SceneSettings, Seal, Skipped, View,
 };
 use crate::{alpha, keep, orientation};
 use glam::{Mat3, Vec3};
@@ -53,7 +53,7 @@ impl Scene {
             }
         }
         let held: HashSet<PathBuf> = located.iter().flatten().cloned().collect();
-        let checked: Vec<Result<CheckedPhoto, String>> = draft
+        let checked: Vec<Result<CheckedPhoto, UnusablePhoto>> = draft
             .photos
             .par_iter()
             .zip(located)
@@ -64,7 +64,7 @@ impl Scene {
         let mut usable: BTreeMap<&str, (usize, CheckedPhoto)> = BTreeMap::new();
         for (i, (photo, checked)) in draft.photos.iter().zip(checked).enumerate() {
             match checked {
-                Err(reason) => skip(&photo.name, reason),
+                Err(error) => skip(&photo.name, error.to_string()),
                 Ok(_) if usable.contains_key(photo.name.as_str()) => {
                     skip(&photo.name, "another photo of the reconstruction has the same name".into());
                 }
@@ -247,6 +247,47 @@ fn notes(draft: &Draft, views: usize, points: usize, view_of: &[Option<u32>]) ->
     notes
 }
 
+/// Why a photo of the reconstruction takes no part.
+#[derive(Debug, thiserror::Error)]
+enum UnusablePhoto {
+    #[error("its name is not that of a file inside the photo folder")]
+    OutsideName,
+    #[error("it is not listed in the split {}", .0.display())]
+    NotInSplit(PathBuf),
+    #[error("the split {} keeps it for validation", .0.display())]
+    Validation(PathBuf),
+    #[error("the split {} gives it no id", .0.display())]
+    NoId(PathBuf),
+    /// It has no file.
+    #[error(transparent)]
+    Locate(#[from] LocateError),
+    #[error("there is no file {}", .0.display())]
+    NoFile(PathBuf),
+    #[error(transparent)]
+    Photo(#[from] PhotoError),
+    #[error(transparent)]
+    Pose(#[from] PoseError),
+    #[error(transparent)]
+    Lens(#[from] DraftLensError),
+    #[error(
+        "its lens cannot be right: of the undistorted image only {percent:.0} % can be filled from the photo"
+    )]
+    Folded { percent: f64 },
+    /// Two files may be its mask.
+    #[error(transparent)]
+    MaskFile(#[from] MaskFileError),
+    #[error("there is no file {}, which is to be its mask", .0.display())]
+    NoMask(PathBuf),
+    #[error("its mask {}: {reason}", mask.display())]
+    Mask { mask: PathBuf, reason: DecodeError },
+}
+
+impl From<DecodeError> for UnusablePhoto {
+    fn from(error: DecodeError) -> UnusablePhoto {
+        UnusablePhoto::Photo(error.into())
+    }
+}
+
 /// A photo that passed every check.
 struct CheckedPhoto {
     photo: Photo,
@@ -283,25 +324,21 @@ fn has_mask(masks: Option<&MaskFiles>, photo: &str) -> bool {
 
 fn check(
     photo: &DraftPhoto,
-    path: Result<PathBuf, String>,
+    path: Result<PathBuf, LocateError>,
     held: &HashSet<PathBuf>,
     ignored: Option<&MaskFiles>,
     keep: Option<&MaskFiles>,
     split: Option<&Split>,
     settings: &SceneSettings,
-) -> Result<CheckedPhoto, String> {
+) -> Result<CheckedPhoto, UnusablePhoto> {
     if !is_inside(&photo.name) {
         path?;
-        return Err("its name is not that of a file inside the photo folder".into());
+        return Err(UnusablePhoto::OutsideName);
     }
     match split.map(|s| (s, s.part(&photo.name))) {
-        Some((s, None)) => return Err(format!("it is not listed in the split {}", s.path.display())),
-        Some((s, Some(SplitPart::Validation))) => {
-            return Err(format!("the split {} keeps it for validation", s.path.display()));
-        }
-        Some((s, Some(SplitPart::NoPose))) => {
-            return Err(format!("the split {} gives it no id", s.path.display()));
-        }
+        Some((s, None)) => return Err(UnusablePhoto::NotInSplit(s.path.clone())),
+        Some((s, Some(SplitPart::Validation))) => return Err(UnusablePhoto::Validation(s.path.clone())),
+        Some((s, Some(SplitPart::NoPose))) => return Err(UnusablePhoto::NoId(s.path.clone())),
         _ => {}
     }
     let pose = photo.pose.clone()?;
@@ -314,25 +351,22 @@ fn check(
     };
     let files = [Some(&path), ignore.as_ref(), usable.as_ref()];
     let seal = Seal::on(files.into_iter().flatten().map(PathBuf::as_path));
-    let lens = photo.lens.as_ref().map_err(String::clone)?;
+    let lens = photo.lens.as_ref().map_err(DraftLensError::clone)?;
     let (width, height) = head.size_for(lens.width(), lens.height())?;
     let lens = lens.resized(width, height);
     let filled = lens.filled();
     if filled < HALF {
-        return Err(format!(
-            "its lens cannot be right: of the undistorted image only {:.0} % can be filled from the photo",
-            100.0 * filled
-        ));
+        return Err(UnusablePhoto::Folded { percent: 100.0 * filled });
     }
     let camera = lens.pinhole();
     if let Some(mask) = usable.as_ref().filter(|mask| !mask.is_file()) {
-        return Err(format!("there is no file {}, which is to be its mask", mask.display()));
+        return Err(UnusablePhoto::NoMask(mask.clone()));
     }
     let most_pixels = pixels_of(settings.max_megapixels);
     let mut bytes = head.photo_bytes(&camera, lens.is_distorted(), settings.size);
     for mask in [&ignore, &usable].into_iter().flatten() {
         let head = ImageHead::read(mask, most_pixels)
-            .map_err(|reason| format!("its mask {}: {reason}", mask.display()))?;
+            .map_err(|reason| UnusablePhoto::Mask { mask: mask.clone(), reason })?;
         bytes = bytes.max(head.bytes_for(head.width, head.height));
     }
     // Whether it is empty or turned is decided when all photos are known.
@@ -354,17 +388,17 @@ fn readable(
     path: PathBuf,
     held: &HashSet<PathBuf>,
     settings: &SceneSettings,
-) -> Result<(PathBuf, ImageHead, Option<String>), String> {
+) -> Result<(PathBuf, ImageHead, Option<String>), UnusablePhoto> {
     let most = pixels_of(settings.max_megapixels);
     let read = match path.exists() {
-        true => ImageHead::read(&path, most),
-        false => Err(format!("there is no file {}", path.display())),
+        true => ImageHead::read(&path, most).map_err(UnusablePhoto::from),
+        false => Err(UnusablePhoto::NoFile(path.clone())),
     };
     // A file that is another photo is nobody's copy.
     let copy = || decode::converted_copies(&path).find(|copy| !held.contains(copy));
-    let (path, head, note) = match read.map_err(|reason| (reason, copy())) {
+    let (path, head, note) = match read.map_err(|error| (error, copy())) {
         Ok(head) => (path, head, None),
-        Err((reason, None)) => return Err(reason),
+        Err((error, None)) => return Err(error),
         Err((_, Some(copy))) => {
             let head = ImageHead::read(&copy, most)?;
             let note = format!("{} is read from its converted copy {}", path.display(), copy.display());

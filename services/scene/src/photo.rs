@@ -1,8 +1,8 @@
 //! Loading a photo: decode, turn, undistort, scale down, mark what is not to be trusted.
 
-use crate::decode::{self, Decoded, ImageHead, swaps_sides};
+use crate::decode::{self, DecodeError, Decoded, ImageHead, swaps_sides};
 use crate::lens::Lens;
-use crate::{Camera, Image, Mask, SceneError, View};
+use crate::{Camera, Image, Mask, PhotoError, SceneError, View};
 use fast_image_resize as fir;
 use image::metadata::Orientation;
 use image::{DynamicImage, GenericImageView};
@@ -47,9 +47,8 @@ impl View {
 
     fn read(&self, long_side: u32) -> Result<LoadedPhoto, SceneError> {
         let path = &self.photo.path;
-        let fail = |reason: String| self.photo_error(path, reason);
-        let (head, orientation) = self.head().map_err(fail)?;
-        head.check_end(path).map_err(fail)?;
+        let (head, orientation) = self.head().map_err(|e| self.photo_error(path, e))?;
+        head.check_end(path).map_err(|e| self.photo_error(path, e))?;
         let camera = self.camera.scaled_to(long_side.max(1));
         // Bending blurs a little, so it happens at up to twice the size asked for.
         let fine = self.photo.lens.as_ref().map(|lens| (lens, bent(&self.camera, long_side)));
@@ -63,7 +62,8 @@ impl View {
             Ok((shrink(decoded, size.width, size.height)?, opaque))
         };
         let size = stored(size, swaps_sides(orientation));
-        let (image, mut valid) = head.decode_and(path, size, shrunk).map_err(fail)?;
+        let (image, mut valid) =
+            head.decode_and(path, size, shrunk).map_err(|e| self.photo_error(path, e))?;
         let image = match &fine {
             None => image,
             Some((lens, fine)) => straighten(&image, &lens.resized(fine.width, fine.height), fine)
@@ -107,7 +107,7 @@ impl View {
         let path = &self.photo.path;
         let mut hasher = blake3::Hasher::new();
         let hashed = decode::open_file(path).and_then(|file| hasher.update_reader(file).map(drop));
-        hashed.map_err(|e| self.photo_error(path, e.to_string()))?;
+        hashed.map_err(|e| self.photo_error(path, DecodeError::Io(e)))?;
         Ok(hasher.finalize().to_hex().to_string())
     }
 
@@ -118,13 +118,12 @@ impl View {
     /// Also when its masks leave nothing of it, or all of it is transparent.
     pub fn examine(&self, long_side: u32) -> Result<Option<String>, SceneError> {
         let path = &self.photo.path;
-        let fail = |reason: String| self.photo_error(path, reason);
-        let (head, _) = self.head().map_err(fail)?;
-        let odd = head.check_data(path).map_err(fail)?;
+        let (head, _) = self.head().map_err(|e| self.photo_error(path, e))?;
+        let odd = head.check_data(path).map_err(|e| self.photo_error(path, e))?;
         let nothing_left = self.load(EXAMINED.min(long_side))?.valid.is_some_and(|valid| valid.is_empty());
         match (nothing_left, self.masks().next().is_some()) {
-            (true, true) => Err(fail("its masks leave nothing of it".into())),
-            (true, false) => Err(fail("all of it is transparent".into())),
+            (true, true) => Err(self.photo_error(path, PhotoError::MaskedOut)),
+            (true, false) => Err(self.photo_error(path, PhotoError::Transparent)),
             _ => Ok(odd),
         }
     }
@@ -148,7 +147,7 @@ impl View {
     }
 
     /// The photo's head, and how the stored pixels are turned to agree with the camera and its pose.
-    fn head(&self) -> Result<(ImageHead, Orientation), String> {
+    fn head(&self) -> Result<(ImageHead, Orientation), PhotoError> {
         let head = ImageHead::read(&self.photo.path, self.most_pixels())?;
         let by_size = head.turned(self.camera.width, self.camera.height)?.is_some();
         let turned = by_size || self.photo.reading.turned;
@@ -158,10 +157,10 @@ impl View {
 
     /// The photo as stored: neither turned nor undistorted, scaled down to a long side of at most `long_side`. For photos whose
     /// stored size has the camera's shape.
-    pub(crate) fn stored_pixels(&self, long_side: u32) -> Result<Image, String> {
+    pub(crate) fn stored_pixels(&self, long_side: u32) -> Result<Image, PhotoError> {
         let (head, _) = self.head()?;
         let Camera { width, height, .. } = self.camera.scaled_to(long_side);
-        head.decode_and(&self.photo.path, (width, height), |decoded| shrink(decoded, width, height))
+        Ok(head.decode_and(&self.photo.path, (width, height), |decoded| shrink(decoded, width, height))?)
     }
 
     /// Its masks, and whether white is ignored in them.
@@ -184,8 +183,9 @@ impl View {
         rest.is_empty()
     }
 
-    fn photo_error(&self, path: &Path, reason: String) -> SceneError {
-        SceneError::Photo { name: self.name.clone(), path: path.to_owned(), reason }
+    /// Adds the photo's name and file to what is wrong with it.
+    fn photo_error(&self, path: &Path, reason: impl Into<PhotoError>) -> SceneError {
+        SceneError::Photo { name: self.name.clone(), path: path.to_owned(), reason: reason.into() }
     }
 
     /// The pixels of the loaded photo that a mask's white touches, or its black.
@@ -193,13 +193,10 @@ impl View {
         let mask = Mask::read_within(path, self.most_pixels())?;
         let mask = if white { mask } else { mask.not() };
         let (w, h) = (mask.width(), mask.height());
-        if !same_aspect((w, h), (self.camera.width, self.camera.height)) {
-            let reason = format!(
-                "its mask {} has {w} x {h} pixels, which does not fit the photo's {} x {}",
-                path.display(),
-                self.camera.width,
-                self.camera.height
-            );
+        let Camera { width, height, .. } = self.camera;
+        if !same_aspect((w, h), (width, height)) {
+            let mask = path.to_owned();
+            let reason = PhotoError::MaskShape { mask, mask_width: w, mask_height: h, width, height };
             return Err(self.photo_error(path, reason));
         }
         let lens = self.photo.lens.as_ref().map(|l| l.resized(camera.width, camera.height));
@@ -259,24 +256,20 @@ impl ImageHead {
     }
 
     /// Whether the photo must be turned by its EXIF orientation to agree with a camera of this size, and if so,
-    /// `Some` of the turned size; an error in words when it does not agree either way.
+    /// `Some` of the turned size; an error when it does not agree either way.
     ///
     /// COLMAP ignores EXIF and other programs apply it, so the sizes decide. Where they are the same, the photo is not turned here,
     /// and the points decide ([`crate::orientation`]).
-    fn turned(&self, width: u32, height: u32) -> Result<Option<(u32, u32)>, String> {
-        let stored = (self.width, self.height);
-        let turned = (self.height, self.width);
+    fn turned(&self, camera_width: u32, camera_height: u32) -> Result<Option<(u32, u32)>, PhotoError> {
+        let ImageHead { width, height, .. } = *self;
+        let (stored, turned) = ((width, height), (height, width));
         let turns = swaps_sides(self.orientation);
-        let camera = (width, height);
+        let camera = (camera_width, camera_height);
         if stored == camera {
             Ok(None)
         } else if self.turned_since && same_aspect(turned, camera) {
             // Which way they were turned nothing says: the orientation is that of the pixels before.
-            Err(format!(
-                "some program has turned its pixels since it was taken (it has {} x {}, its camera is for {width} x {height}): \
-                 put the photo back that was reconstructed",
-                self.width, self.height
-            ))
+            Err(PhotoError::TurnedSince { width, height, camera_width, camera_height })
         } else if turns && turned == camera {
             Ok(Some(turned))
         } else if same_aspect(stored, camera) {
@@ -284,11 +277,7 @@ impl ImageHead {
         } else if turns && same_aspect(turned, camera) {
             Ok(Some(turned))
         } else {
-            Err(format!(
-                "the photo has {} x {} pixels, but its camera is for {width} x {height}; the shapes differ, so the \
-                 photo is not the one that was reconstructed",
-                self.width, self.height
-            ))
+            Err(PhotoError::OtherShape { width, height, camera_width, camera_height })
         }
     }
 
@@ -301,7 +290,7 @@ impl ImageHead {
     }
 
     /// The photo's size in the orientation that agrees with a camera of this size.
-    pub(crate) fn size_for(&self, width: u32, height: u32) -> Result<(u32, u32), String> {
+    pub(crate) fn size_for(&self, width: u32, height: u32) -> Result<(u32, u32), PhotoError> {
         Ok(self.turned(width, height)?.unwrap_or(self.stored()))
     }
 }
@@ -349,7 +338,7 @@ fn before_grey(photo: DynamicImage) -> DynamicImage {
 }
 
 /// Scales to a size with Lanczos in the photo's own depth, 8 or 16 bits; then to planes of floats.
-fn shrink(photo: Decoded, width: u32, height: u32) -> Result<Image, String> {
+fn shrink(photo: Decoded, width: u32, height: u32) -> Result<Image, DecodeError> {
     let Decoded { image: photo, part: [left, top, part_width, part_height] } = photo;
     let deep = matches!(
         photo,
@@ -370,7 +359,7 @@ fn shrink(photo: Decoded, width: u32, height: u32) -> Result<Image, String> {
         source
     } else {
         fir::images::Image::from_vec_u8(w, h, photo.into_rgb8().into_raw(), fir::PixelType::U8x3)
-            .map_err(|e| e.to_string())?
+            .map_err(DecodeError::Pixels)?
     };
     let scaled = if all && (w, h) == (width, height) {
         source
@@ -381,7 +370,7 @@ fn shrink(photo: Decoded, width: u32, height: u32) -> Result<Image, String> {
         if !all {
             how = how.crop(left, top, part_width, part_height);
         }
-        fir::Resizer::new().resize(&source, &mut scaled, &how).map_err(|e| e.to_string())?;
+        fir::Resizer::new().resize(&source, &mut scaled, &how).map_err(DecodeError::Resize)?;
         scaled
     };
     let mut image = Image::zeros(width as usize, height as usize, 3);

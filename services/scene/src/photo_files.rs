@@ -20,8 +20,46 @@ pub(crate) fn photo_folders(scene: &Path) -> Vec<PathBuf> {
     folders.collect()
 }
 
-/// The file of a photo, or in words why it has none.
-pub(crate) type Claimed = Result<Claim, String>;
+/// Why a photo has no file.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum LocateError {
+    #[error("there is no file of that name in {}", folder.display())]
+    NotThere { folder: PathBuf },
+    /// `other` is the name of a file that may be the one.
+    #[error("there is no file of that name in {}; {other} may be the one: if so, rename it", folder.display())]
+    Misnamed { folder: PathBuf, other: String },
+    /// Its name leads out of the photo folder, and what is left of it names no file either.
+    #[error(
+        "its name is not that of a file inside the photo folder, and there is no file of its last part in {}",
+        folder.display()
+    )]
+    OutsideName { folder: PathBuf },
+    /// Its file lies elsewhere than in the scene's folder.
+    #[error(
+        "its file {listed} lies outside of the scene's folder {}: copy it there, or name the folder of the photos with `images`",
+        folder.display()
+    )]
+    OutsideFile { listed: String, folder: PathBuf },
+    /// The file is that of the photo `owner`.
+    #[error("what is left of its name is {left}, and that is photo {owner} already")]
+    Taken { left: String, owner: String },
+    /// The file may be that of several photos: some of their names, and how many there are beside them.
+    #[error(
+        "`{left}` may be that of {}, and is used for none of them",
+        either(claimants, *more)
+    )]
+    Contested { left: String, claimants: Vec<String>, more: usize },
+}
+
+/// Names in words: `a or b`, or `a or b or c or 5 others`.
+fn either(names: &[String], more: usize) -> String {
+    let mut names = names.to_vec();
+    names.extend((more > 0).then(|| format!("{more} others")));
+    names.join(" or ")
+}
+
+/// The file of a photo, or why it has none.
+pub(crate) type Claimed = Result<Claim, LocateError>;
 
 /// The file that may be that of a photo.
 #[derive(Debug)]
@@ -55,11 +93,11 @@ pub(crate) fn settle(names: &[&str], claims: Vec<Claimed>) -> Vec<Claimed> {
             Err(_) => {}
         }
     }
-    let settled = |(name, claim): (&&str, Result<Claim, String>)| {
+    let settled = |(name, claim): (&&str, Claimed)| {
         let claim = claim?;
         let Some(left) = &claim.left else { return Ok(claim) };
         if let Some(owner) = owners.get(&claim.path) {
-            return Err(format!("what is left of its name is {left}, and that is photo {owner} already"));
+            return Err(LocateError::Taken { left: left.clone(), owner: (*owner).to_owned() });
         }
         match claimants.get(&claim.path).and_then(|claimants| contested(left, name, claimants)) {
             None => Ok(claim),
@@ -70,7 +108,7 @@ pub(crate) fn settle(names: &[&str], claims: Vec<Claimed>) -> Vec<Claimed> {
 }
 
 /// Why the file `left` is not that of the photo `name`, if it may be that of others of these photos.
-fn contested(left: &str, name: &str, claimants: &BTreeSet<&str>) -> Option<String> {
+fn contested(left: &str, name: &str, claimants: &BTreeSet<&str>) -> Option<LocateError> {
     let file = key(left);
     // Blender's names have no ending.
     let whole = |name: &str| key(name) == file || key(name) == stem(&file);
@@ -79,14 +117,11 @@ fn contested(left: &str, name: &str, claimants: &BTreeSet<&str>) -> Option<Strin
     let mut exact = claimants.iter().filter(|name| whole(name));
     match (exact.next(), exact.next()) {
         (Some(_), None) if whole(name) => None,
-        (Some(owner), None) => {
-            Some(format!("what is left of its name is {left}, and that is photo {owner} already"))
-        }
+        (Some(owner), None) => Some(LocateError::Taken { left: left.to_owned(), owner: (*owner).to_owned() }),
         _ => {
-            let mut some: Vec<&str> = claimants.iter().take(SHOWN).copied().collect();
-            let more = format!("{} others", claimants.len() - some.len());
-            some.extend((claimants.len() > SHOWN).then_some(more.as_str()));
-            Some(format!("`{left}` may be that of {}, and is used for none of them", some.join(" or ")))
+            let more = claimants.len().saturating_sub(SHOWN);
+            let claimants = claimants.iter().take(SHOWN).map(|&name| name.to_owned()).collect();
+            Some(LocateError::Contested { left: left.to_owned(), claimants, more })
         }
     }
 }
@@ -95,17 +130,11 @@ fn contested(left: &str, name: &str, claimants: &BTreeSet<&str>) -> Option<Strin
 const SHOWN: usize = 3;
 
 /// Why a photo has no file, with the file that may be the one.
-pub(crate) fn no_file(folder: &Path, name: &str, candidate: Option<&ListingEntry>) -> String {
-    let dir = folder.display();
+pub(crate) fn no_file(folder: &Path, name: &str, candidate: Option<&ListingEntry>) -> LocateError {
+    let folder = folder.to_owned();
     match candidate {
-        Some(entry) => {
-            format!("there is no file of that name in {dir}; {} may be the one: if so, rename it", entry.name)
-        }
-        None if !is_inside(name) => {
-            format!(
-                "its name is not that of a file inside the photo folder, and there is no file of its last part in {dir}"
-            )
-        }
-        None => format!("there is no file of that name in {dir}"),
+        Some(entry) => LocateError::Misnamed { folder, other: entry.name.clone() },
+        None if !is_inside(name) => LocateError::OutsideName { folder },
+        None => LocateError::NotThere { folder },
     }
 }

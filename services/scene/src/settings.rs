@@ -72,7 +72,21 @@ pub fn range_words<T: Display>(range: &impl RangeBounds<T>) -> String {
     }
 }
 
-/// Why a value was refused.
+/// What a value is not.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ValueError {
+    /// It is no value of the setting's type, which is named.
+    #[error("expected {0}")]
+    Kind(&'static str),
+    /// It is none of these words.
+    #[error("expected one of {}", .0.join(", "))]
+    Choice(&'static [&'static str]),
+    /// It lies outside this range, as [`range_words`] names it.
+    #[error("expected {0}")]
+    Range(String),
+}
+
+/// Why a setting was refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SettingError {
     /// No setting of that name.
@@ -94,7 +108,7 @@ pub enum SettingError {
         /// What was given.
         value: String,
         /// What is wrong with it.
-        reason: String,
+        reason: ValueError,
     },
 }
 
@@ -126,15 +140,15 @@ pub trait Value: Sized + Display {
     /// The words accepted, if it is a choice.
     const CHOICES: &'static [&'static str] = &[];
     /// Reads the text a person typed.
-    fn read(text: &str) -> Result<Self, String>;
+    fn read(text: &str) -> Result<Self, ValueError>;
 }
 
 macro_rules! numbers {
     ($($t:ty => $kind:literal, $what:literal);*) => {$(
         impl Value for $t {
             const KIND: &'static str = $kind;
-            fn read(text: &str) -> Result<Self, String> {
-                text.parse().map_err(|_| format!("expected {}", $what))
+            fn read(text: &str) -> Result<Self, ValueError> {
+                text.parse().map_err(|_| ValueError::Kind($what))
             }
         }
     )*};
@@ -143,11 +157,11 @@ numbers!(u32 => "N", "a whole number"; u64 => "N", "a whole number"; usize => "N
 
 impl Value for f32 {
     const KIND: &'static str = "X";
-    fn read(text: &str) -> Result<Self, String> {
+    fn read(text: &str) -> Result<Self, ValueError> {
         match text.parse::<f32>() {
             // A minus before a zero is lost where settings are written.
             Ok(x) if x.is_finite() => Ok(x + 0.0),
-            _ => Err("expected a finite number".into()),
+            _ => Err(ValueError::Kind("a finite number")),
         }
     }
 }
@@ -155,18 +169,18 @@ impl Value for f32 {
 impl Value for bool {
     const KIND: &'static str = "WORD";
     const CHOICES: &'static [&'static str] = &["true", "false"];
-    fn read(text: &str) -> Result<Self, String> {
+    fn read(text: &str) -> Result<Self, ValueError> {
         match text {
             "true" | "on" | "yes" => Ok(true),
             "false" | "off" | "no" => Ok(false),
-            _ => Err("expected true or false".into()),
+            _ => Err(ValueError::Kind("true or false")),
         }
     }
 }
 
 impl Value for String {
     const KIND: &'static str = "TEXT";
-    fn read(text: &str) -> Result<Self, String> {
+    fn read(text: &str) -> Result<Self, ValueError> {
         Ok(text.to_owned())
     }
 }
@@ -206,13 +220,13 @@ macro_rules! settings {
             fn set(&mut self, name: &str, value: &str) -> Result<(), $crate::settings::SettingError> {
                 match name {
                     $(stringify!($field) => {
-                        let wrong = |reason: String| {
+                        let wrong = |reason: $crate::settings::ValueError| {
                             $crate::settings::SettingError::Value { name: name.into(), value: value.into(), reason }
                         };
                         let read = <$ty as $crate::settings::Value>::read(value).map_err(wrong)?;
                         $(if !std::ops::RangeBounds::<$ty>::contains(&($range), &read) {
                             let words = $crate::settings::range_words::<$ty>(&($range));
-                            return Err(wrong(format!("expected {words}")));
+                            return Err(wrong($crate::settings::ValueError::Range(words)));
                         })?
                         self.$field = read;
                         Ok(())
@@ -258,10 +272,10 @@ macro_rules! choice {
         impl $crate::settings::Value for $name {
             const KIND: &'static str = "WORD";
             const CHOICES: &'static [&'static str] = &[$($word),+];
-            fn read(text: &str) -> Result<Self, String> {
+            fn read(text: &str) -> Result<Self, $crate::settings::ValueError> {
                 match text {
                     $($word => Ok(Self::$variant),)+
-                    _ => Err(format!("expected one of {}", Self::CHOICES.join(", "))),
+                    _ => Err($crate::settings::ValueError::Choice(Self::CHOICES)),
                 }
             }
         }

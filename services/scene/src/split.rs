@@ -159,7 +159,7 @@ impl Split {
         for path in tables(folder)? {
             let text = text::read(&path)?;
             if let Err(reason) = columns(&heads(text.lines().find(|line| !line.trim().is_empty()))) {
-                notes.push(passed_over(&path, &reason));
+                notes.push(passed_over(&path, &reason.to_string()));
                 continue;
             }
             let split = table_of(&path, &text)?;
@@ -202,7 +202,7 @@ impl Split {
         }
         let own = match (own, &found[..]) {
             (None, found) => by_names(photos, folder).unwrap_or_else(|odd| {
-                notes.extend(found.is_empty().then_some(odd));
+                notes.extend(found.is_empty().then(|| odd.to_string()));
                 None
             }),
             (own, _) => own,
@@ -332,16 +332,22 @@ fn heads(line: Option<&str>) -> Vec<&str> {
     line.map(|line| line.split('\t').map(str::trim).collect()).unwrap_or_default()
 }
 
-/// The columns of a split among those of a table: filename, id, split; why it is none in words.
-fn columns(heads: &[&str]) -> Result<[usize; 3], String> {
+/// Why a table is no split.
+#[derive(Debug, thiserror::Error)]
+enum ColumnsError {
+    #[error("the file is empty")]
+    Empty,
+    #[error("there is no column `{0}`; a split has filename, id and split, tab-separated")]
+    Missing(&'static str),
+}
+
+/// The columns of a split among those of a table: filename, id, split.
+fn columns(heads: &[&str]) -> Result<[usize; 3], ColumnsError> {
     if heads.is_empty() {
-        return Err("the file is empty".into());
+        return Err(ColumnsError::Empty);
     }
-    let column = |name: &str| {
-        heads.iter().position(|head| *head == name).ok_or_else(|| {
-            format!("there is no column `{name}`; a split has filename, id and split, tab-separated")
-        })
-    };
+    let column =
+        |name: &'static str| heads.iter().position(|head| *head == name).ok_or(ColumnsError::Missing(name));
     Ok([column("filename")?, column("id")?, column("split")?])
 }
 
@@ -353,7 +359,7 @@ fn read_table(path: &Path) -> Result<Split, SceneError> {
 fn table_of(path: &Path, text: &str) -> Result<Split, SceneError> {
     let mut lines = text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty());
     let head = heads(lines.next().map(|(_, head)| head));
-    let [name, id, split] = columns(&head).map_err(|reason| SceneError::invalid(path, "line 1", reason))?;
+    let [name, id, split] = columns(&head).map_err(|e| SceneError::invalid(path, "line 1", e))?;
     let mut rows = BTreeMap::new();
     for (i, line) in lines {
         let cells: Vec<&str> = line.split('\t').map(str::trim).collect();
@@ -437,8 +443,27 @@ fn numbered(split: &Path, photos: &[&str]) -> Vec<String> {
     names.iter().map(|(last, whole)| if count[last] > 1 { *whole } else { *last }.to_owned()).collect()
 }
 
-/// RobustNeRF's photos carry their part in their names. The error is a note: some of them are named so, but they make no split.
-fn by_names(photos: &[&str], folder: &Path) -> Result<Option<Split>, String> {
+/// Photos are named as RobustNeRF names them, but not so that they make a split.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "the photos are named as RobustNeRF names them ({train} `clutter`, {test} `extra`, {clean} `clean`), but {why}: no split is made \
+     of the names, and all photos train; to hold some out, list them in a test_list.txt",
+    why = other.as_ref().map_or_else(|| "none is called `extra`".to_owned(), |other| format!("{other} is called neither"))
+)]
+struct NamesError {
+    /// How many photos have each part in their names.
+    train: usize,
+    test: usize,
+    clean: usize,
+    /// A photo whose name has none; `None` where all have one, and none is for testing.
+    other: Option<String>,
+}
+
+/// RobustNeRF's photos carry their part in their names.
+///
+/// # Errors
+/// A note for the user: some photos are named so, but they make no split.
+fn by_names(photos: &[&str], folder: &Path) -> Result<Option<Split>, NamesError> {
     let part = |name: &str| {
         let last = last_part(name).to_lowercase();
         let parts =
@@ -454,17 +479,10 @@ fn by_names(photos: &[&str], folder: &Path) -> Result<Option<Split>, String> {
     if train == 0 || test + clean == 0 {
         return Ok(None);
     }
-    let why = match other {
-        None if test > 0 => {
-            return Ok(Some(Split::new(&folder.join("(names of the photos)"), rows, true)));
-        }
-        None => "none is called `extra`".to_owned(),
-        Some(other) => format!("{other} is called neither"),
-    };
-    Err(format!(
-        "the photos are named as RobustNeRF names them ({train} `clutter`, {test} `extra`, {clean} `clean`), but {why}: no split is made \
-         of the names, and all photos train; to hold some out, list them in a test_list.txt"
-    ))
+    if other.is_none() && test > 0 {
+        return Ok(Some(Split::new(&folder.join("(names of the photos)"), rows, true)));
+    }
+    Err(NamesError { train, test, clean, other: other.map(|other| (*other).to_owned()) })
 }
 
 #[cfg(test)]

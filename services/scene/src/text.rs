@@ -4,6 +4,14 @@ use crate::SceneError;
 use crate::bytes::read_bytes;
 use std::path::Path;
 
+/// Why the bytes of a file are not taken for text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum TextError {
+    /// They are UTF-16, as Notepad and PowerShell write it.
+    #[error("the file is UTF-16; save it as UTF-8 (in Windows PowerShell: `Out-File -Encoding utf8`)")]
+    Utf16,
+}
+
 /// Reads a text file; see [`decode`] for what counts as text.
 ///
 /// # Errors
@@ -17,8 +25,8 @@ pub fn read(path: &Path) -> Result<String, SceneError> {
 /// as Latin-1, as old Windows programs write names.
 ///
 /// # Errors
-/// In words, when the bytes are UTF-16, as Notepad and PowerShell write it.
-pub fn decode(bytes: Vec<u8>) -> Result<String, String> {
+/// The bytes are UTF-16.
+pub fn decode(bytes: Vec<u8>) -> Result<String, TextError> {
     let sixteen = match bytes[..] {
         [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => true,
         // Without a mark: every other byte of plain words is zero.
@@ -26,9 +34,7 @@ pub fn decode(bytes: Vec<u8>) -> Result<String, String> {
         _ => false,
     };
     if sixteen {
-        return Err(
-            "the file is UTF-16; save it as UTF-8 (in Windows PowerShell: `Out-File -Encoding utf8`)".into(),
-        );
+        return Err(TextError::Utf16);
     }
     let text = match bytes.strip_prefix(b"\xef\xbb\xbf") {
         Some(rest) => rest.to_vec(),
@@ -60,7 +66,7 @@ mod tests {
         // One line of Latin-1 does not change the others.
         assert_eq!(read(b"Stra\xdfe\nStra\xc3\x9fe\n").unwrap(), "Straße\nStraße\n");
         for utf16 in [&b"\xff\xfe1\0"[..], b"\xfe\xff\x001", b"1\x002\0"] {
-            assert!(read(utf16).unwrap_err().contains("UTF-16"), "{utf16:?}");
+            assert!(read(utf16).unwrap_err().to_string().contains("UTF-16"), "{utf16:?}");
         }
         assert_eq!(read(b"").unwrap(), "");
     }

@@ -6,18 +6,18 @@
 pub(crate) mod json;
 
 use crate::decode::{ImageHead, converted};
-use crate::draft::{Draft, DraftPhoto, DraftPose, finite};
+use crate::draft::{Draft, DraftLensError, DraftPhoto, DraftPose, PoseError, finite};
 use crate::lens::{CameraModel, Lens};
 use crate::names::{CAPITALS, Listing, READ, below, is_inside, is_photo, key, last_part, tidy};
-use crate::photo_files::{Claim, Claimed, no_file, photo_folders, settle};
+use crate::photo_files::{Claim, Claimed, LocateError, no_file, photo_folders, settle};
 use crate::split::{Split, SplitPart};
-use crate::{SceneError, draft, text};
+use crate::{DecodeError, SceneError, draft};
 use glam::{DMat3, DVec3};
 use json::{Intrinsics, Transforms, TransformsFrame};
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 /// Endings tried first when a `file_path` has none, as Blender writes it; then all the others that are read.
 const USUAL: [&str; 6] = ["png", "jpg", "jpeg", "JPG", "PNG", "JPEG"];
@@ -161,10 +161,7 @@ impl<'a> PhotoFinder<'a> {
     }
 
     /// The file of a photo.
-    ///
-    /// # Errors
-    /// In words, when it is not there.
-    fn find(&self, listed: &str) -> Result<Claim, String> {
+    fn find(&self, listed: &str) -> Claimed {
         let tidied = tidy(listed);
         let other = (tidied != listed).then_some(tidied.as_str());
         for name in std::iter::once(listed).chain(other) {
@@ -187,17 +184,15 @@ impl<'a> PhotoFinder<'a> {
             }
         }
         if inside(&self.photos, listed).is_none() && self.folder.join(listed).is_file() {
-            return Err(format!(
-                "its file {listed} lies outside of the scene's folder {}: copy it there, or name the folder of the photos with `images`",
-                self.folder.display()
-            ));
+            let (listed, folder) = (listed.to_owned(), self.folder.to_owned());
+            return Err(LocateError::OutsideFile { listed, folder });
         }
         let candidate = self.listing.get().and_then(|listing| listing.candidate(listed));
         Err(no_file(&self.photos, listed, candidate))
     }
 
     /// The name of a photo: that of the file that was found, if one was.
-    fn name(&self, short: &Path, file: &Result<PathBuf, String>) -> String {
+    fn name(&self, short: &Path, file: &Result<PathBuf, LocateError>) -> String {
         let Ok(file) = file else { return short.to_string_lossy().into_owned() };
         let mut name = short.to_owned();
         if let Some(file_name) = file.file_name() {
@@ -272,24 +267,21 @@ fn with_ending(path: &Path) -> PathBuf {
 }
 
 /// Size of a photo as stored, or of its converted copy. Whether it is too large is seen when the photo is looked at.
-fn photo_size(file: &Path) -> Result<(u32, u32), String> {
+fn photo_size(file: &Path) -> Result<(u32, u32), DecodeError> {
     let stored = |file: &Path| ImageHead::read(file, u64::MAX).map(|head| head.stored());
-    stored(file).or_else(|reason| converted(file).map_or(Err(reason), |copy| stored(&copy)))
+    stored(file).or_else(|error| converted(file).map_or(Err(error), |copy| stored(&copy)))
 }
 
-fn lens_of(frame: &Intrinsics, all: &Intrinsics, file: &Path) -> Result<Lens, String> {
+fn lens_of(frame: &Intrinsics, all: &Intrinsics, file: &Path) -> Result<Lens, DraftLensError> {
     let get = |field: fn(&Intrinsics) -> Option<f64>| field(frame).or(field(all));
     let (width, height) = match (get(|i| i.w), get(|i| i.h)) {
-        (Some(w), Some(h)) => {
-            let side = |n: f64| if n >= 1.0 && n.fract() == 0.0 { Ok(n as u64) } else { Err(()) };
-            match (side(w), side(h)) {
-                (Ok(w), Ok(h)) => (w, h),
-                _ => return Err(format!("its frame says that the photo has {w} x {h} pixels")),
-            }
+        (Some(width), Some(height)) => {
+            let side = |n: f64| (n >= 1.0 && n.fract() == 0.0).then_some(n as u64);
+            side(width).zip(side(height)).ok_or(DraftLensError::FrameSize { width, height })?
         }
         // Without a size the intrinsics are for the photo as it is.
         _ => {
-            let (w, h) = photo_size(file)?;
+            let (w, h) = photo_size(file).map_err(|e| DraftLensError::PhotoSize(Arc::new(e)))?;
             (u64::from(w), u64::from(h))
         }
     };
@@ -299,7 +291,7 @@ fn lens_of(frame: &Intrinsics, all: &Intrinsics, file: &Path) -> Result<Lens, St
     let (fx, fy) = match (fx, fy) {
         (Some(fx), Some(fy)) => (fx, fy),
         (Some(f), None) | (None, Some(f)) => (f, f),
-        (None, None) => return Err("its frame gives no focal length (fl_x or camera_angle_x)".into()),
+        (None, None) => return Err(DraftLensError::NoFocal),
     };
     let cx = get(|i| i.cx).unwrap_or(0.5 * width as f64);
     let cy = get(|i| i.cy).unwrap_or(0.5 * height as f64);
@@ -319,31 +311,29 @@ fn lens_of(frame: &Intrinsics, all: &Intrinsics, file: &Path) -> Result<Lens, St
     distorted(&model_of(frame, all)?, (width, height), pinhole, k)
 }
 
-/// The camera model that a frame names; an error in words where it is none that maps to a pinhole.
-fn model_of(frame: &Intrinsics, all: &Intrinsics) -> Result<String, String> {
+/// The camera model that a frame names; an error where it is none that maps to a pinhole.
+fn model_of(frame: &Intrinsics, all: &Intrinsics) -> Result<String, DraftLensError> {
     let says = |field: fn(&Intrinsics) -> Option<bool>| field(frame).or(field(all)) == Some(true);
     let named = frame.camera_model.as_deref().or(all.camera_model.as_deref()).unwrap_or("OPENCV");
     let model = named.to_uppercase();
     if says(|i| i.equirectangular) || model == "EQUIRECTANGULAR" {
-        return Err(
-            "camera model EQUIRECTANGULAR is a panorama: cut perspective photos out of it first".into()
-        );
+        return Err(DraftLensError::Panorama);
     }
     if says(|i| i.orthographic) || model == "ORTHOPHOTO" {
-        return Err("camera model ORTHOPHOTO has no perspective: no scene can be made from it".into());
+        return Err(DraftLensError::Orthographic);
     }
     if frame.ftheta_p0.or(all.ftheta_p0).is_some() {
-        return Err("instant-ngp's f-theta lens cannot be undistorted; undistort the photos first".into());
+        return Err(DraftLensError::FTheta);
     }
     Ok(if says(|i| i.is_fisheye) { "OPENCV_FISHEYE".into() } else { model })
 }
 
-fn distorted(model: &str, size: (u64, u64), pinhole: [f64; 4], k: [f64; 8]) -> Result<Lens, String> {
+fn distorted(model: &str, size: (u64, u64), pinhole: [f64; 4], k: [f64; 8]) -> Result<Lens, DraftLensError> {
     let (width, height) = size;
     let [k1, k2, k3, k4, k5, k6, p1, p2] = k;
     let lens =
         |model: CameraModel, more: &[f64]| Lens::new(model, width, height, &[&pinhole[..], more].concat());
-    match model {
+    let lens = match model {
         "PINHOLE" | "SIMPLE_PINHOLE" => lens(CameraModel::Pinhole, &[]),
         "OPENCV" | "PERSPECTIVE" | "SIMPLE_RADIAL" | "RADIAL" => {
             lens(CameraModel::OpenCv, &[k1, k2, p1, p2]).map(|lens| lens.with_radial(k3, k4))
@@ -352,36 +342,36 @@ fn distorted(model: &str, size: (u64, u64), pinhole: [f64; 4], k: [f64; 8]) -> R
         "OPENCV_FISHEYE" | "FISHEYE" | "SIMPLE_FISHEYE" | "SIMPLE_RADIAL_FISHEYE" | "RADIAL_FISHEYE" => {
             lens(CameraModel::OpenCvFisheye, &[k1, k2, k3, k4])
         }
-        other => Err(format!("camera model {other} cannot be undistorted; undistort the photos first")),
-    }
+        other => return Err(DraftLensError::FrameModel(other.to_owned())),
+    };
+    Ok(lens?)
 }
 
-fn pose_of(matrix: &[Vec<Option<f64>>]) -> Result<DraftPose, String> {
+fn pose_of(matrix: &[Vec<Option<f64>>]) -> Result<DraftPose, PoseError> {
     let mut m = [[0.0; 4]; 3];
     for (r, row) in m.iter_mut().enumerate() {
         for (c, value) in row.iter_mut().enumerate() {
             let given = matrix.get(r).and_then(|row| row.get(c));
             *value = match given {
-                None => return Err("its transform_matrix is not 4 x 4".into()),
+                None => return Err(PoseError::MatrixSize),
                 Some(Some(v)) if v.is_finite() => *v,
-                Some(_) => return Err("its pose is not finite".into()),
+                Some(_) => return Err(PoseError::NotFinite),
             };
         }
     }
     // The camera's axes in the world; y and z turn from OpenGL's to ours.
     let axis = |c: usize, sign: f64| DVec3::new(m[0][c], m[1][c], m[2][c]) * sign;
     let [x, y, z] = [axis(0, 1.0), axis(1, -1.0), axis(2, -1.0)];
-    let no_rotation = || Err("the matrix of its pose is not a rotation".to_owned());
     let scale = x.length();
     if scale < 1e-9 {
-        return no_rotation();
+        return Err(PoseError::NoRotation);
     }
     let to_world = DMat3::from_cols(x / scale, y / scale, z / scale);
     let off = to_world.transpose() * to_world - DMat3::IDENTITY;
     let off = off.to_cols_array().iter().fold(0.0f64, |a, v| a.max(v.abs()));
     // Files with four or five digits are common.
     if off > 1e-2 || to_world.determinant() <= 0.0 {
-        return no_rotation();
+        return Err(PoseError::NoRotation);
     }
     // Exactly a rotation again: Gram-Schmidt.
     let x = to_world.x_axis.normalize();

@@ -141,9 +141,9 @@ pub(super) fn masks_in(folder: &Path, photos: &[String]) -> Result<Vec<(String, 
     let files = MaskFiles::new(folder, photos.iter().map(String::as_str));
     let mut masks = Vec::new();
     for photo in photos {
-        let found = files.find(photo).map_err(|reason| {
+        let found = files.find(photo).map_err(|error| {
             let file = folder.display().to_string();
-            ProtocolError::File { file, reason }
+            ProtocolError::File { file, reason: error.to_string() }
         })?;
         masks.extend(found.map(|file| (photo.clone(), file)));
     }

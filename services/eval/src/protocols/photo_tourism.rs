@@ -125,7 +125,7 @@ fn photo<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a str, String> {
 /// The true mask of a photo, or what is missing.
 fn mask(masks: &MaskFiles, folder: &Path, photo: &str) -> Result<PathBuf, String> {
     let named = || format!("the true mask {}", folder.join(MaskFiles::wanted(photo)).display());
-    masks.find(photo)?.ok_or_else(named)
+    masks.find(photo).map_err(|e| e.to_string())?.ok_or_else(named)
 }
 
 /// The query for a target, from the files that are there; or why there is none.

@@ -6,6 +6,8 @@ use std::path::PathBuf;
 use segwild_pipeline::Until;
 use serde::Deserialize;
 
+use super::error::SceneEntryError;
+
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(super) struct File {
@@ -58,7 +60,7 @@ pub(super) enum Size {
 }
 
 impl Size {
-    pub fn bytes(&self) -> Result<u64, String> {
+    pub fn bytes(&self) -> Result<u64, MemorySizeError> {
         match self {
             Size::Bytes(bytes) => Ok(*bytes),
             Size::Text(text) => read_size(text),
@@ -66,9 +68,14 @@ impl Size {
     }
 }
 
+/// A text that is no amount of memory.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is no amount of memory: write `512 MiB` or `8 GiB`")]
+pub struct MemorySizeError(String);
+
 /// Reads `512 MiB`, `2.5 GB`, `1000000`.
-fn read_size(text: &str) -> Result<u64, String> {
-    let wrong = || format!("`{text}` is no amount of memory: write `512 MiB` or `8 GiB`");
+fn read_size(text: &str) -> Result<u64, MemorySizeError> {
+    let wrong = || MemorySizeError(text.to_owned());
     let split = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
     let number: f64 = text[..split].parse().map_err(|_| wrong())?;
     let unit = match text[split..].trim() {
@@ -95,17 +102,18 @@ pub(super) enum Stop {
 }
 
 impl Stop {
-    pub fn read(&self) -> Result<Until, String> {
+    pub fn read(&self) -> Result<Until, SceneEntryError> {
         let text = match self {
             Stop::Step(step) => step.to_string(),
             Stop::Text(text) => text.clone(),
         };
-        text.parse().map_err(|e| format!("`until = {text}`: {e}"))
+        let wrong = |reason| SceneEntryError::Until { until: text.clone(), reason };
+        text.parse().map_err(wrong)
     }
 }
 
 /// The settings of a scene: the defaults', then its own.
-pub(super) fn settings(defaults: &Terms, own: &Terms) -> Result<BTreeMap<String, String>, String> {
+pub(super) fn settings(defaults: &Terms, own: &Terms) -> Result<BTreeMap<String, String>, SceneEntryError> {
     let mut all = BTreeMap::new();
     for (preset, table) in [(&defaults.preset, &defaults.settings), (&own.preset, &own.settings)] {
         if let Some(preset) = preset {
@@ -115,7 +123,7 @@ pub(super) fn settings(defaults: &Terms, own: &Terms) -> Result<BTreeMap<String,
             let value = match value {
                 toml::Value::String(text) => text.clone(),
                 toml::Value::Table(_) | toml::Value::Array(_) => {
-                    return Err(format!("the setting `{name}` must be a single value"));
+                    return Err(SceneEntryError::NotSingle(name.clone()));
                 }
                 other => other.to_string(),
             };
@@ -125,7 +133,7 @@ pub(super) fn settings(defaults: &Terms, own: &Terms) -> Result<BTreeMap<String,
     // What a scene may use of the machine is set once, for the batch to keep account of.
     for (setting, instead) in [("threads", "cores"), ("memory_budget", "memory")] {
         if all.contains_key(setting) {
-            return Err(format!("`{setting}` is not set here: say `{instead}`"));
+            return Err(SceneEntryError::Reserved { setting, instead });
         }
     }
     Ok(all)

@@ -24,6 +24,7 @@
 //! settings = { steps = 4000 }
 //! ```
 
+mod error;
 mod file;
 mod run_folders;
 
@@ -31,44 +32,16 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use segwild_flow::files::name;
-use segwild_pipeline::{MemoryNeed, Settings, Until};
+use segwild_pipeline::{MemoryNeed, Settings, SettingsError, Until};
 use serde::{Deserialize, Serialize};
 
+pub use self::error::{ManifestError, ManifestFileError, SceneEntryError};
+pub use self::file::MemorySizeError;
 use self::file::{File, settings};
+pub use self::run_folders::FolderTaken;
 use self::run_folders::RunFolders;
 use crate::job::{Job, Needs, Retry};
 use crate::machine;
-
-/// Why a manifest cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum ManifestError {
-    /// The file cannot be read.
-    #[error("{}: cannot be read: {source}", file.display())]
-    Read {
-        /// The file.
-        file: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-    },
-    /// The file is not what it should be.
-    #[error("{}: {reason}", file.display())]
-    File {
-        /// The file.
-        file: PathBuf,
-        /// What is wrong in it.
-        reason: String,
-    },
-    /// A scene of it is not what it should be.
-    #[error("{}: scene `{scene}`: {reason}", file.display())]
-    Scene {
-        /// The file.
-        file: PathBuf,
-        /// The scene.
-        scene: String,
-        /// What is wrong.
-        reason: String,
-    },
-}
 
 /// A scene of a batch: the payload of its job.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -90,10 +63,10 @@ impl SceneJob {
     /// Its effective settings.
     ///
     /// # Errors
-    /// In words, when a name or a value does not fit.
-    pub fn effective(&self) -> Result<Settings, String> {
+    /// A name or a value does not fit.
+    pub fn effective(&self) -> Result<Settings, SettingsError> {
         let pairs: Vec<(String, String)> = self.settings.clone().into_iter().collect();
-        Settings::layered(None, &pairs).map_err(|e| e.to_string())
+        Settings::layered(None, &pairs)
     }
 }
 
@@ -113,28 +86,28 @@ impl BatchManifest {
     /// every scene stops, whatever the manifest says.
     ///
     /// # Errors
-    /// In words, and before anything was started: what is wrong with the file or with one of its scenes.
+    /// Before anything was started: what is wrong with the file or with one of its scenes.
     pub fn read(file: &Path, folder: &Path, until: Option<Until>) -> Result<Self, ManifestError> {
-        let wrong = |reason: String| ManifestError::File { file: file.to_path_buf(), reason };
+        let wrong = |reason: ManifestFileError| ManifestError::File { file: file.to_path_buf(), reason };
         let bytes =
             std::fs::read(file).map_err(|source| ManifestError::Read { file: file.to_path_buf(), source })?;
-        let text = segwild_scene::text::decode(bytes).map_err(wrong)?;
-        let read: File = toml::from_str(&text).map_err(|e| wrong(e.to_string()))?;
+        let text = segwild_scene::text::decode(bytes).map_err(|e| wrong(e.into()))?;
+        let read: File = toml::from_str(&text).map_err(|e| wrong(e.into()))?;
         if read.scene.is_empty() {
-            return Err(wrong("it has no [[scene]]".into()));
+            return Err(wrong(ManifestFileError::NoScene));
         }
         let machine = machine::whole();
         let budget = Needs {
             cores: read.budget.cores.filter(|&n| n > 0).unwrap_or(machine.cores),
             memory_bytes: match &read.budget.memory {
-                Some(size) => size.bytes().map_err(wrong)?,
+                Some(size) => size.bytes().map_err(|e| wrong(e.into()))?,
                 None => machine.memory_bytes / 5 * 4,
             },
             accelerators: read.budget.accelerators.unwrap_or(0),
         };
         let patience_s = read.budget.patience.unwrap_or(3600.0);
         if patience_s.is_nan() || patience_s <= 0.0 {
-            return Err(wrong(format!("[budget] patience = {patience_s} makes no sense: say seconds")));
+            return Err(wrong(ManifestFileError::Patience(patience_s)));
         }
         let share = (budget.cores / read.scene.len() as u32).max(1);
         let base = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
@@ -147,24 +120,22 @@ impl BatchManifest {
             let name = entry.name.clone().unwrap_or_else(|| {
                 path.file_name().map_or("scene".into(), |n| n.to_string_lossy().into_owned())
             });
-            let wrong = |reason: String| ManifestError::Scene {
+            let wrong = |reason: SceneEntryError| ManifestError::Scene {
                 file: file.to_path_buf(),
                 scene: name.clone(),
                 reason,
             };
             if let Err(why) = usable(&name) {
-                return Err(wrong(format!(
-                    "its name must be usable as a file's name, and {why}: set `name`"
-                )));
+                return Err(wrong(SceneEntryError::Name(why)));
             }
             // Capitals make no other file on some systems, and names become files.
             if !names.insert(name.to_lowercase()) {
-                return Err(wrong("there are two scenes of this name: set `name`".into()));
+                return Err(wrong(SceneEntryError::SameName));
             }
             let out = entry.out.as_ref().map_or_else(|| folder.join(&name), |out| base.join(out));
-            outs.take(&name, &out).map_err(|why| wrong(format!("{why}: set `out`")))?;
-            if let Some(name) = entry.unknown.keys().next() {
-                return Err(wrong(format!("there is no key named `{name}`")));
+            outs.take(&name, &out).map_err(|e| wrong(e.into()))?;
+            if let Some(key) = entry.unknown.keys().next() {
+                return Err(wrong(SceneEntryError::UnknownKey(key.clone())));
             }
             let (d, own) = (&read.defaults, &entry.terms);
             let settings = settings(d, own).map_err(wrong)?;
@@ -174,21 +145,21 @@ impl BatchManifest {
                 Until::Step(step) => step.to_string(),
             });
             let scene = SceneJob { name: name.clone(), path, out, settings, until };
-            let effective = scene.effective().map_err(wrong)?;
+            let effective = scene.effective().map_err(|e| wrong(e.into()))?;
             let cores = own.cores.or(d.cores).unwrap_or(share).max(1);
             let declared = own.memory.as_ref().or(d.memory.as_ref());
-            let declared = declared.map(|size| size.bytes()).transpose().map_err(wrong)?;
+            let declared = declared.map(|size| size.bytes()).transpose().map_err(|e| wrong(e.into()))?;
             let needs = Needs {
                 cores,
                 memory_bytes: memory(&scene, &effective, declared, cores, &budget).map_err(wrong)?,
                 accelerators: own.accelerators.or(d.accelerators).unwrap_or(0),
             };
             if !needs.fit(&budget) {
-                return Err(wrong(format!("it needs {}, the budget is {}", words(&needs), words(&budget))));
+                return Err(wrong(SceneEntryError::OverBudget { needs, budget }));
             }
             let job = Job {
                 id: name.clone(),
-                payload: serde_json::to_string(&scene).map_err(|e| wrong(e.to_string()))?,
+                payload: serde_json::to_string(&scene).map_err(|e| wrong(e.into()))?,
                 priority: own.priority.or(d.priority).unwrap_or(0),
                 needs,
                 retry: Retry {
@@ -221,7 +192,7 @@ fn memory(
     declared: Option<u64>,
     cores: u32,
     budget: &Needs,
-) -> Result<u64, String> {
+) -> Result<u64, SceneEntryError> {
     let share = budget.memory_bytes / u64::from(budget.cores.max(1)) * u64::from(cores.min(budget.cores));
     // Why a scene cannot be opened is for its own process to say: the others go on.
     let Ok(need) = MemoryNeed::of(&scene.path, settings) else { return Ok(declared.unwrap_or(share)) };
@@ -231,10 +202,7 @@ fn memory(
         _ => ("the budget", budget.memory_bytes),
     };
     if given < least {
-        let given = given >> 20;
-        return Err(format!(
-            "it needs about {need}, and {whose} is {given} MiB: give more, or lower `splats` or `size`"
-        ));
+        return Err(SceneEntryError::Memory { need: need.to_string(), whose, given_mib: given >> 20 });
     }
     Ok(declared.unwrap_or(share.min(most).max(least)))
 }

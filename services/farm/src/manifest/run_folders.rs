@@ -4,6 +4,34 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Component, Path, PathBuf};
 
+/// A scene would run in the folder of another one.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FolderTaken {
+    /// Both name the same folder.
+    #[error("two scenes run in {}", .0.display())]
+    Same(PathBuf),
+    /// They name one folder by two paths.
+    #[error("two scenes run in one folder: {} is {} of `{scene}`", out.display(), other.display())]
+    OtherPath {
+        /// The scene's folder.
+        out: PathBuf,
+        /// The folder of the other scene.
+        other: PathBuf,
+        /// The other scene.
+        scene: String,
+    },
+    /// One folder holds the other.
+    #[error("{} and {} of `{scene}` lie in one another", out.display(), other.display())]
+    Nested {
+        /// The scene's folder.
+        out: PathBuf,
+        /// The folder of the other scene.
+        other: PathBuf,
+        /// The other scene.
+        scene: String,
+    },
+}
+
 /// The run folders that are taken, by where they truly are, capitals aside.
 #[derive(Default)]
 pub(super) struct RunFolders(BTreeMap<PathBuf, (String, PathBuf)>);
@@ -13,25 +41,19 @@ impl RunFolders {
     ///
     /// # Errors
     /// Names the scene that runs in the same folder, or in one of the two that hold one another.
-    pub fn take(&mut self, scene: &str, out: &Path) -> Result<(), String> {
+    pub fn take(&mut self, scene: &str, out: &Path) -> Result<(), FolderTaken> {
         let key = folded(&real(out));
         let above = key.ancestors().find_map(|above| self.0.get_key_value(above));
         // Paths are in order of their parts: what lies in a folder comes right after it.
         let below = || self.0.range(key.clone()..).next().filter(|(taken, _)| taken.starts_with(&key));
         let near = above.or_else(below);
-        if let Some((taken, (other, called))) = near {
+        if let Some((taken, (scene, other))) = near {
+            let (same, out) = (other.as_os_str() == out.as_os_str(), out.to_owned());
+            let (other, scene) = (other.clone(), scene.clone());
             return Err(match *taken == key {
-                true if called.as_os_str() == out.as_os_str() => {
-                    format!("two scenes run in {}", out.display())
-                }
-                true => format!(
-                    "two scenes run in one folder: {} is {} of `{other}`",
-                    out.display(),
-                    called.display()
-                ),
-                false => {
-                    format!("{} and {} of `{other}` lie in one another", out.display(), called.display())
-                }
+                true if same => FolderTaken::Same(out),
+                true => FolderTaken::OtherPath { out, other, scene },
+                false => FolderTaken::Nested { out, other, scene },
             });
         }
         self.0.insert(key, (scene.to_owned(), out.to_owned()));
@@ -70,7 +92,9 @@ mod tests {
     /// Which of the folders is refused, and why.
     fn refused(outs: &[&Path]) -> Option<(usize, String)> {
         let mut taken = RunFolders::default();
-        let take = |(i, out): (usize, &&Path)| taken.take(&format!("s{i}"), out).err().map(|why| (i, why));
+        let take = |(i, out): (usize, &&Path)| {
+            taken.take(&format!("s{i}"), out).err().map(|why| (i, why.to_string()))
+        };
         outs.iter().enumerate().find_map(take)
     }
 

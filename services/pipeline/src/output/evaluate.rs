@@ -229,7 +229,7 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
     let names = intake.photos.iter().map(String::as_str);
     let (files, truths) = (ImageFiles::of(names.clone()), MaskFiles::new(truth, names));
     for (i, photo) in intake.photos.iter().enumerate() {
-        let file = truths.find(photo);
+        let file = truths.find(photo).map_err(|e| e.to_string());
         let Some(file) = file.transpose() else { continue };
         let truth = match file.and_then(|file| Mask::read_png(&file).map_err(|e| e.to_string())) {
             Ok(truth) => truth,

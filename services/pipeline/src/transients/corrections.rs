@@ -43,7 +43,8 @@ impl Corrections {
         let mut corrections = Corrections::default();
         for (i, view) in scene.views.iter().enumerate() {
             let file = named_files.as_ref().map_or(Ok(None), |files| files.find(&view.name));
-            let given = file.and_then(|file| file.map(|file| read(file, view)).transpose());
+            let given = file.map_err(|e| e.to_string());
+            let given = given.and_then(|file| file.map(|file| read(file, view)).transpose());
             let file = files.find(&own, i);
             let of_own = match authorship::inspect(&file, written.of_photo(&files, i))? {
                 MaskImage::OfPerson(mask) => {

@@ -72,7 +72,8 @@ pub fn score_transients(folder: &RunFolder, truth: &Path) -> Result<TransientSco
     let (own, held_out) = (folder.path().join(FOLDER), intake.held_out.iter().collect::<HashSet<_>>());
     for (i, photo) in intake.photos.iter().enumerate().filter(|(_, photo)| !held_out.contains(photo)) {
         let found = files.find(&own, i);
-        let Some(file) = truths.find(photo).transpose().filter(|_| found.is_file()) else { continue };
+        let file = truths.find(photo).map_err(|e| e.to_string());
+        let Some(file) = file.transpose().filter(|_| found.is_file()) else { continue };
         let (found, truth) = match file.and_then(|file| compared(&found, &file)) {
             Ok(both) => both,
             Err(reason) => {

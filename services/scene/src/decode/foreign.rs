@@ -1,5 +1,6 @@
 //! Image formats that this program does not read: recognised by their content, with the command that converts them.
 
+use super::DecodeError;
 use crate::names::{AVIF, CAPITALS, HEIC, JPEG_2000, JXL, RAW, READ};
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -166,18 +167,14 @@ const FOREIGN: &[Foreign] = &[
 ];
 
 /// Why a file that starts so cannot be read, with what converts it; `None` where it is of no known kind.
-pub(crate) fn refusal(path: &Path, start: &[u8]) -> Option<String> {
+pub(crate) fn refusal(path: &Path, start: &[u8]) -> Option<DecodeError> {
     let found = FOREIGN.iter().find(|f| (f.is)(start))?;
     let (from, to) = (quoted(path), quoted(&Foreign::output(path)));
     let command = match found.command.contains("'IN[0]'") {
         true => found.command.replace("'IN[0]'", &format!("'{}[0]'", path.display())),
         false => found.command.replace("IN", &from),
     };
-    let command = command.replace("OUT", &to);
-    Some(format!(
-        "it is {} file, which this program does not read; convert it, and the copy beside it is used: {command}",
-        found.name
-    ))
+    Some(DecodeError::ForeignFormat { format: found.name, command: command.replace("OUT", &to) })
 }
 
 impl Foreign {
@@ -259,7 +256,7 @@ mod tests {
             ("g.tif", "g.tif.tif", b"FUJIFILMCCD-RAW 0201"),
         ];
         for (name, output, start) in starts {
-            let words = refusal(&at(name), start).unwrap();
+            let words = refusal(&at(name), start).unwrap().to_string();
             assert!(words.ends_with(&format!(" {}", at(output).display())), "{name}: {words}");
         }
     }
@@ -271,7 +268,7 @@ mod tests {
         for name in ["a.heic", "c.jpg", "d", "e.1"] {
             std::fs::write(at(name), HEIC).unwrap();
             assert_eq!(converted(&at(name)), None, "{name}");
-            let command = refusal(&at(name), HEIC).unwrap();
+            let command = refusal(&at(name), HEIC).unwrap().to_string();
             let copy = PathBuf::from(command.rsplit_once(' ').unwrap().1);
             std::fs::write(&copy, b"\xff\xd8\xff").unwrap();
             assert_eq!(converted(&at(name)), Some(copy), "{name}");

@@ -4,6 +4,7 @@
 //! known from its head before a pixel is decoded: [`ImageHead::read`] refuses an image over the bound, [`ImageHead::bytes_for`] gives the
 //! memory of decoding, and [`limit_decoding`] bounds the memory of all threads together. Large photos shrink while they are decoded.
 
+mod error;
 mod exif;
 mod foreign;
 mod jpeg;
@@ -11,6 +12,7 @@ mod memory;
 mod png;
 mod tiff;
 
+pub use error::DecodeError;
 pub(crate) use foreign::{converted, converted_copies};
 pub use memory::limit_decoding;
 pub use segwild_files::open_plain as open_file;
@@ -112,16 +114,15 @@ impl ImageHead {
     /// Reads the head of a file whose image may have so many pixels; nothing is decoded.
     ///
     /// # Errors
-    /// In words: what is wrong with the file, without its name.
-    pub fn read(path: &Path, most_pixels: u64) -> Result<ImageHead, String> {
-        let words = |e: std::io::Error| e.to_string();
-        let mut file = open_file(path).map_err(words)?;
-        let length = file.metadata().map_err(words)?.len();
+    /// The system refuses the file, it is no image that is read, its head is damaged, or its image is over the bound.
+    pub fn read(path: &Path, most_pixels: u64) -> Result<ImageHead, DecodeError> {
+        let mut file = open_file(path)?;
+        let length = file.metadata()?.len();
         let mut start = Vec::new();
-        file.by_ref().take(foreign::START as u64).read_to_end(&mut start).map_err(words)?;
-        file.rewind().map_err(words)?;
+        file.by_ref().take(foreign::START as u64).read_to_end(&mut start)?;
+        file.rewind()?;
         if start.is_empty() {
-            return Err("the file is empty".into());
+            return Err(DecodeError::Empty);
         }
         let head = match image::guess_format(&start) {
             Ok(ImageFormat::Jpeg) => ImageHead::of_jpeg(file, length)?,
@@ -130,32 +131,26 @@ impl ImageHead {
                 foreign::refusal(path, &start).map_or(Ok(()), Err)?;
                 ImageHead::of_other(file, length, format)?
             }
-            _ => {
-                let unknown = "does not decode: it is neither a JPEG nor a PNG, WEBP, TIFF or BMP file";
-                return Err(foreign::refusal(path, &start).unwrap_or_else(|| unknown.into()));
-            }
+            _ => return Err(foreign::refusal(path, &start).unwrap_or(DecodeError::UnknownFormat)),
         };
         head.bounded(most_pixels)
     }
 
-    fn bounded(self, most_pixels: u64) -> Result<ImageHead, String> {
+    fn bounded(self, most_pixels: u64) -> Result<ImageHead, DecodeError> {
         let ImageHead { width, height, .. } = self;
         within(width, height, most_pixels)?;
         // An image's data are never so much larger than its pixels.
         if let FileKind::Jpeg(jpeg) = &self.kind
             && jpeg.bytes > 16 * u64::from(width) * u64::from(height) + (16 << 20)
         {
-            return Err(format!(
-                "the JPEG has {} bytes for {width} x {height} pixels: it is damaged",
-                jpeg.bytes
-            ));
+            return Err(DecodeError::TooManyBytes { width, height, bytes: jpeg.bytes });
         }
         self.held_by_file()?;
         Ok(self)
     }
 
     /// Few bytes cannot hold the pixels of a large image: such a file would take memory for nothing.
-    fn held_by_file(&self) -> Result<(), String> {
+    fn held_by_file(&self) -> Result<(), DecodeError> {
         let pixels = u64::from(self.width) * u64::from(self.height);
         let least = match &self.kind {
             FileKind::Png(png) => (pixels * png.bits as u64).div_ceil(8 * DEFLATE),
@@ -165,35 +160,31 @@ impl ImageHead {
         if self.file >= least {
             return Ok(());
         }
-        Err(format!(
-            "the file claims {} x {} pixels, which its {} bytes cannot hold: it is cut short or damaged; copy it again",
-            self.width, self.height, self.file
-        ))
+        Err(DecodeError::TooFewBytes { width: self.width, height: self.height, bytes: self.file })
     }
 
-    fn of_jpeg(file: File, length: u64) -> Result<ImageHead, String> {
+    fn of_jpeg(file: File, length: u64) -> Result<ImageHead, DecodeError> {
         let jpeg = jpeg::read(BufReader::with_capacity(1 << 16, file))?;
         let (width, height) = (jpeg.frame.width as u32, jpeg.frame.height as u32);
         let exif = jpeg.exif.clone();
         Ok(ImageHead::new((width, height), exif.as_deref(), FileKind::Jpeg(jpeg), length))
     }
 
-    fn of_png(path: &Path, file: File, length: u64, most_pixels: u64) -> Result<ImageHead, String> {
+    fn of_png(path: &Path, file: File, length: u64, most_pixels: u64) -> Result<ImageHead, DecodeError> {
         let (width, height) = png::size(file)?;
         within(width, height, most_pixels)?;
-        let (png, exif) = png::head(open_file(path).map_err(|e| e.to_string())?)?;
+        let (png, exif) = png::head(open_file(path)?)?;
         Ok(ImageHead::new((width, height), exif.as_deref(), FileKind::Png(png), length))
     }
 
-    fn of_other(file: File, length: u64, format: ImageFormat) -> Result<ImageHead, String> {
+    fn of_other(file: File, length: u64, format: ImageFormat) -> Result<ImageHead, DecodeError> {
         let mut file = BufReader::new(file);
         if format == ImageFormat::Tiff {
             tiff::check_counts(&mut file, length)?;
-            file.rewind().map_err(|e| e.to_string())?;
+            file.rewind()?;
         }
-        let mut decoder = ImageReader::with_format(file, format)
-            .into_decoder()
-            .map_err(|e| format!("does not decode: {e}"))?;
+        let mut decoder =
+            ImageReader::with_format(file, format).into_decoder().map_err(DecodeError::Other)?;
         // Damaged EXIF data are no reason to refuse the pixels.
         let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
         let kind = FileKind::Other(format, decoder.color_type());
@@ -269,7 +260,7 @@ impl ImageHead {
     }
 
     /// Decodes the image for one that is then shrunk to `width` x `height` of its pixels as stored; waits for memory.
-    pub fn decode(&self, path: &Path, width: u32, height: u32) -> Result<Decoded, String> {
+    pub fn decode(&self, path: &Path, width: u32, height: u32) -> Result<Decoded, DecodeError> {
         let _permit = memory::enter(self.bytes_for(width, height));
         self.decode_now(path, least(width, height))
     }
@@ -279,14 +270,14 @@ impl ImageHead {
         &self,
         path: &Path,
         (width, height): (u32, u32),
-        then: impl FnOnce(Decoded) -> Result<T, String>,
-    ) -> Result<T, String> {
+        then: impl FnOnce(Decoded) -> Result<T, DecodeError>,
+    ) -> Result<T, DecodeError> {
         let _permit = memory::enter(self.bytes_for(width, height));
         then(self.decode_now(path, least(width, height))?)
     }
 
-    fn decode_now(&self, path: &Path, least: (f64, f64)) -> Result<Decoded, String> {
-        let file = open_file(path).map_err(|e| e.to_string())?;
+    fn decode_now(&self, path: &Path, least: (f64, f64)) -> Result<Decoded, DecodeError> {
+        let file = open_file(path)?;
         let shrunk = |(image, [width, height]): (DynamicImage, [f64; 2])| Decoded {
             image,
             part: [0.0, 0.0, width, height],
@@ -304,35 +295,38 @@ impl ImageHead {
                 step => png::scaled(file, step).map(shrunk),
             },
             FileKind::Other(format, _) => {
-                let words = |e: image::ImageError| format!("does not decode: {e}");
-                let mut decoder =
-                    ImageReader::with_format(BufReader::new(file), *format).into_decoder().map_err(words)?;
+                let mut decoder = ImageReader::with_format(BufReader::new(file), *format)
+                    .into_decoder()
+                    .map_err(DecodeError::Other)?;
                 if decoder.dimensions() != (self.width, self.height) {
-                    return Err(CHANGED.into());
+                    return Err(DecodeError::ChangedWhileRead);
                 }
                 let mut limits = image::Limits::no_limits();
                 limits.max_alloc = Some(self.bytes_for(self.width, self.height) + (64 << 20));
-                decoder.set_limits(limits).map_err(words)?;
-                DynamicImage::from_decoder(decoder).map(Decoded::whole).map_err(words)
+                decoder.set_limits(limits).map_err(DecodeError::Other)?;
+                DynamicImage::from_decoder(decoder).map(Decoded::whole).map_err(DecodeError::Other)
             }
         }
         .and_then(|decoded| self.fits(decoded))
     }
 
     /// A file that was changed since its head was read may hold another image.
-    fn fits(&self, decoded: Decoded) -> Result<Decoded, String> {
+    fn fits(&self, decoded: Decoded) -> Result<Decoded, DecodeError> {
         let [.., width, height] = decoded.part;
         let shrunk = f64::from(self.width) / width;
         let off = (f64::from(self.height) / shrunk - height).abs();
-        if off > 1.0 || width > f64::from(self.width) { Err(CHANGED.into()) } else { Ok(decoded) }
+        if off > 1.0 || width > f64::from(self.width) {
+            Err(DecodeError::ChangedWhileRead)
+        } else {
+            Ok(decoded)
+        }
     }
 
-    fn jpeg_bytes(&self, file: File, jpeg: &jpeg::JpegHead) -> Result<Vec<u8>, String> {
+    fn jpeg_bytes(&self, file: File, jpeg: &jpeg::JpegHead) -> Result<Vec<u8>, DecodeError> {
         let mut bytes = Vec::with_capacity(jpeg.bytes as usize + 2);
-        file.take(jpeg.bytes).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
-        let frame = jpeg::read(&bytes[..]).map(|head| head.frame);
-        if frame.as_ref() != Ok(&jpeg.frame) {
-            return Err(CHANGED.into());
+        file.take(jpeg.bytes).read_to_end(&mut bytes)?;
+        if !jpeg::read(&bytes[..]).is_ok_and(|head| head.frame == jpeg.frame) {
+            return Err(DecodeError::ChangedWhileRead);
         }
         if !jpeg.ended {
             bytes.extend([0xff, 0xd9]);
@@ -343,8 +337,8 @@ impl ImageHead {
     /// Checks that a JPEG without an end has all of its image.
     ///
     /// # Errors
-    /// In words, where it has not.
-    pub fn check_end(&self, path: &Path) -> Result<(), String> {
+    /// It has not, or the system refuses the file.
+    pub fn check_end(&self, path: &Path) -> Result<(), DecodeError> {
         match &self.kind {
             FileKind::Jpeg(jpeg) if !jpeg.ended => self.check_data(path).map(drop),
             _ => Ok(()),
@@ -355,13 +349,13 @@ impl ImageHead {
     /// kinds say of damage when they are decoded.
     ///
     /// # Errors
-    /// In words, where the photo is not to be used.
-    pub fn check_data(&self, path: &Path) -> Result<Option<String>, String> {
+    /// The damage, where the photo is not to be used.
+    pub fn check_data(&self, path: &Path) -> Result<Option<String>, DecodeError> {
         let FileKind::Jpeg(jpeg) = &self.kind else { return Ok(None) };
         let _permit = memory::enter(jpeg.bytes + jpeg.frame.samples() / 8);
-        let file = open_file(path).map_err(|e| e.to_string())?;
+        let file = open_file(path)?;
         let mut bytes = Vec::with_capacity(jpeg.bytes as usize);
-        file.take(jpeg.bytes).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
+        file.take(jpeg.bytes).read_to_end(&mut bytes)?;
         let Some(found) = jpeg::check(&bytes, &jpeg.frame) else { return Ok(None) };
         match found.damage(jpeg.bytes) {
             Some(damage) => Err(damage),
@@ -369,8 +363,6 @@ impl ImageHead {
         }
     }
 }
-
-const CHANGED: &str = "the file was changed while it was read";
 
 /// Bytes per pixel of a decoded image that has `stored` of them, while it becomes three colours and shrinks.
 fn copies(stored: u64, wide: bool) -> u64 {
@@ -382,17 +374,12 @@ fn least(width: u32, height: u32) -> (f64, f64) {
     (FINER * f64::from(width), FINER * f64::from(height))
 }
 
-fn within(width: u32, height: u32, most_pixels: u64) -> Result<(), String> {
+fn within(width: u32, height: u32, most_pixels: u64) -> Result<(), DecodeError> {
     if width == 0 || height == 0 {
-        return Err(format!("the photo has {width} x {height} pixels"));
+        return Err(DecodeError::NoPixels { width, height });
     }
-    let pixels = u64::from(width) * u64::from(height);
-    if pixels > most_pixels {
-        return Err(format!(
-            "the file claims {width} x {height} pixels, which are {} megapixels; --max-megapixels allows {}",
-            pixels.div_ceil(1_000_000),
-            most_pixels / 1_000_000
-        ));
+    if u64::from(width) * u64::from(height) > most_pixels {
+        return Err(DecodeError::TooManyPixels { width, height, most_pixels });
     }
     Ok(())
 }
@@ -403,10 +390,7 @@ pub(crate) fn pixels_of(megapixels: u32) -> u64 {
 }
 
 /// Decodes an image that is no photo, whole, if it has at most so many pixels.
-///
-/// # Errors
-/// In words, without the file's name.
-pub(crate) fn decode_image(path: &Path, most_pixels: u64) -> Result<DynamicImage, String> {
+pub(crate) fn decode_image(path: &Path, most_pixels: u64) -> Result<DynamicImage, DecodeError> {
     let head = ImageHead::read(path, most_pixels)?;
     head.decode(path, head.width, head.height).map(|decoded| decoded.image)
 }

@@ -1,5 +1,6 @@
 //! PNGs, read row by row: large ones shrink while they are read.
 
+use super::DecodeError;
 use image::{DynamicImage, ImageBuffer, Luma, LumaA, Pixel, Rgb, Rgba};
 use png::{BitDepth, ColorType, Transformations};
 use std::fs::File;
@@ -23,10 +24,6 @@ pub(crate) struct PngHead {
 
 type PngReader = png::Reader<BufReader<File>>;
 
-fn words(error: png::DecodingError) -> String {
-    format!("does not decode: {error}")
-}
-
 /// Text and colour profiles are of no use here and may unpack to any size: they are passed over.
 fn decoder(file: File) -> png::Decoder<BufReader<File>> {
     let mut decoder = png::Decoder::new_with_limits(BufReader::new(file), png::Limits { bytes: SIDE });
@@ -38,15 +35,15 @@ fn decoder(file: File) -> png::Decoder<BufReader<File>> {
 }
 
 /// Width and height; nothing after them is read.
-pub(crate) fn size(file: File) -> Result<(u32, u32), String> {
+pub(crate) fn size(file: File) -> Result<(u32, u32), DecodeError> {
     let mut decoder = decoder(file);
-    let info = decoder.read_header_info().map_err(words)?;
+    let info = decoder.read_header_info().map_err(DecodeError::Png)?;
     Ok((info.width, info.height))
 }
 
 /// Reads up to the image's data: the head and the EXIF data.
-pub(crate) fn head(file: File) -> Result<(PngHead, Option<Vec<u8>>), String> {
-    let reader = decoder(file).read_info().map_err(words)?;
+pub(crate) fn head(file: File) -> Result<(PngHead, Option<Vec<u8>>), DecodeError> {
+    let reader = decoder(file).read_info().map_err(DecodeError::Png)?;
     let exif = reader.info().exif_metadata.as_ref().map(|exif| exif.to_vec());
     Ok((of(&reader), exif))
 }
@@ -66,12 +63,12 @@ fn of(reader: &PngReader) -> PngHead {
 }
 
 /// Decodes the whole image.
-pub(crate) fn whole(file: File) -> Result<DynamicImage, String> {
-    let mut reader = decoder(file).read_info().map_err(words)?;
+pub(crate) fn whole(file: File) -> Result<DynamicImage, DecodeError> {
+    let mut reader = decoder(file).read_info().map_err(DecodeError::Png)?;
     let head = of(&reader);
-    let size = reader.output_buffer_size().ok_or("does not decode: the PNG is too large")?;
+    let size = reader.output_buffer_size().ok_or(DecodeError::Malformed("the PNG is too large"))?;
     let mut bytes = vec![0; size];
-    reader.next_frame(&mut bytes).map_err(words)?;
+    reader.next_frame(&mut bytes).map_err(DecodeError::Png)?;
     let colour = reader.output_color_type().0;
     if head.depth == 1 {
         return image_of(colour, head.width, head.height, bytes);
@@ -88,8 +85,8 @@ pub(crate) fn step(head: &PngHead, least: (f64, f64)) -> usize {
 }
 
 /// Decodes the image with each `step` x `step` pixels as their mean; how many columns and rows of what comes back it fills.
-pub(crate) fn scaled(file: File, step: usize) -> Result<(DynamicImage, [f64; 2]), String> {
-    let mut reader = decoder(file).read_info().map_err(words)?;
+pub(crate) fn scaled(file: File, step: usize) -> Result<(DynamicImage, [f64; 2]), DecodeError> {
+    let mut reader = decoder(file).read_info().map_err(DecodeError::Png)?;
     let head = of(&reader);
     let colour = reader.output_color_type().0;
     let (width, height) = (head.width as usize, head.height as usize);
@@ -98,7 +95,8 @@ pub(crate) fn scaled(file: File, step: usize) -> Result<(DynamicImage, [f64; 2])
     let mut out: Vec<u16> = Vec::with_capacity(values * to_height);
     let mut sums = vec![0u64; values];
     for y in 0..height {
-        let row = reader.next_row().map_err(words)?.ok_or("does not decode: the PNG has too few rows")?;
+        let row = reader.next_row().map_err(DecodeError::Png)?;
+        let row = row.ok_or(DecodeError::Malformed("the PNG has too few rows"))?;
         add(&mut sums, row.data(), &head, step);
         let rows = y % step + 1;
         if rows == step || y + 1 == height {
@@ -111,7 +109,7 @@ pub(crate) fn scaled(file: File, step: usize) -> Result<(DynamicImage, [f64; 2])
         }
     }
     // The end of the data, and whether they are whole.
-    reader.next_row().map_err(words)?;
+    reader.next_row().map_err(DecodeError::Png)?;
     let extent = [width, height].map(|n| n as f64 / step as f64);
     let (w, h) = (to_width as u32, to_height as u32);
     let image = match head.depth {
@@ -134,7 +132,7 @@ fn add(sums: &mut [u64], row: &[u8], head: &PngHead, step: usize) {
     }
 }
 
-fn image_of(colour: ColorType, width: u32, height: u32, bytes: Vec<u8>) -> Result<DynamicImage, String> {
+fn image_of(colour: ColorType, width: u32, height: u32, bytes: Vec<u8>) -> Result<DynamicImage, DecodeError> {
     fn of<P: Pixel<Subpixel = u8>>(w: u32, h: u32, bytes: Vec<u8>) -> Option<DynamicImage>
     where
         DynamicImage: From<ImageBuffer<P, Vec<u8>>>,
@@ -148,7 +146,7 @@ fn image_of(colour: ColorType, width: u32, height: u32, bytes: Vec<u8>) -> Resul
         ColorType::Rgba => of::<Rgba<u8>>(width, height, bytes),
         ColorType::Indexed => None,
     };
-    image.ok_or_else(|| "does not decode: the PNG's colours are not known".into())
+    image.ok_or(DecodeError::Malformed("the PNG's colours are not known"))
 }
 
 fn image_of_wide(
@@ -156,7 +154,7 @@ fn image_of_wide(
     width: u32,
     height: u32,
     values: Vec<u16>,
-) -> Result<DynamicImage, String> {
+) -> Result<DynamicImage, DecodeError> {
     fn of<P: Pixel<Subpixel = u16>>(w: u32, h: u32, values: Vec<u16>) -> Option<DynamicImage>
     where
         DynamicImage: From<ImageBuffer<P, Vec<u16>>>,
@@ -170,5 +168,5 @@ fn image_of_wide(
         ColorType::Rgba => of::<Rgba<u16>>(width, height, values),
         ColorType::Indexed => None,
     };
-    image.ok_or_else(|| "does not decode: the PNG's colours are not known".into())
+    image.ok_or(DecodeError::Malformed("the PNG's colours are not known"))
 }

@@ -1,5 +1,6 @@
 //! TIFFs: how many values the first directory claims. Their decoder allocates memory for all of them before it reads one.
 
+use super::DecodeError;
 use std::io::{Read, Seek, SeekFrom};
 
 /// Bytes of a value, by its type.
@@ -57,14 +58,9 @@ impl<R: Read + Seek> TiffReader<R> {
 }
 
 /// Refuses a file of `length` bytes whose first directory claims more values than these can hold.
-///
-/// # Errors
-/// In words.
-pub(crate) fn check_counts(file: impl Read + Seek, length: u64) -> Result<(), String> {
+pub(crate) fn check_counts(file: impl Read + Seek, length: u64) -> Result<(), DecodeError> {
     match (TiffReader { file, big_endian: false }).too_many(length) {
         None => Ok(()),
-        Some((tag, count)) => Err(format!(
-            "tag {tag} of the TIFF claims {count} values, which its {length} bytes cannot hold: it is damaged; copy it again"
-        )),
+        Some((tag, count)) => Err(DecodeError::TiffCount { tag, count, bytes: length }),
     }
 }

@@ -2,6 +2,15 @@
 
 use super::values::{Format, Type};
 
+/// Why the property of a header line is not understood.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum PropertyError {
+    #[error("`{0}` is no type of a property")]
+    UnknownType(String),
+    #[error("a property has a type and a name")]
+    Malformed,
+}
+
 /// An element before the vertices.
 pub(super) struct Element {
     pub name: String,
@@ -21,13 +30,14 @@ impl Element {
         Element { name: name.to_owned(), count, properties: Vec::new() }
     }
 
-    /// Adds the property of a header line without the word `property`; the number of properties, or what is not understood.
-    pub(super) fn add(&mut self, words: &[&str]) -> Result<usize, String> {
-        let kind = |word: &str| Type::from_name(word).ok_or(format!("`{word}` is no type of a property"));
+    /// Adds the property of a header line without the word `property`; the number of properties.
+    pub(super) fn add(&mut self, words: &[&str]) -> Result<usize, PropertyError> {
+        let kind =
+            |word: &str| Type::from_name(word).ok_or_else(|| PropertyError::UnknownType(word.to_owned()));
         let shape = match *words {
             ["list", count, item, _] => PropertyShape::List(kind(count)?, kind(item)?),
             [scalar, _] => PropertyShape::Scalar(kind(scalar)?),
-            _ => return Err("a property has a type and a name".into()),
+            _ => return Err(PropertyError::Malformed),
         };
         self.properties.push(shape);
         Ok(self.properties.len())

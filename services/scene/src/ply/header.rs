@@ -80,7 +80,7 @@ impl<'a> VertexTable<'a> {
                 }
                 ["property", ref words @ ..] if other && vertices.is_none() => {
                     let last = before.last_mut().map(|element| element.add(words));
-                    if last.transpose().map_err(|why| invalid(number, why))? > Some(MOST_PROPERTIES) {
+                    if last.transpose().map_err(|e| invalid(number, e.to_string()))? > Some(MOST_PROPERTIES) {
                         return Err(invalid(number, format!("more than {MOST_PROPERTIES} properties")));
                     }
                 }

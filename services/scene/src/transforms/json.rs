@@ -64,9 +64,8 @@ impl Transforms {
         // Python writes NaN and Infinity, which are no JSON: they become null, that is, missing.
         let text = text::read(path)?;
         let text = without_nan(&text);
-        serde_json::from_str(&text).map_err(|e| {
-            SceneError::invalid(path, format!("line {} column {}", e.line(), e.column()), e.to_string())
-        })
+        serde_json::from_str(&text)
+            .map_err(|e| SceneError::invalid(path, format!("line {} column {}", e.line(), e.column()), e))
     }
 }
 

@@ -42,7 +42,7 @@ pub fn light() -> Arg {
 /// What [`light`] was given.
 pub fn light_of(matches: &ArgMatches) -> Result<LightVariation, Failure> {
     LightVariation::read(matches.get_one::<String>("light").expect("it has a default"))
-        .map_err(Failure::usage)
+        .map_err(|e| Failure::usage(e.to_string()))
 }
 
 /// `--providers` of synthetic scenes.

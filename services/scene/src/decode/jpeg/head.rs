@@ -1,5 +1,6 @@
 //! The segments before and between the scans of a JPEG.
 
+use crate::decode::DecodeError;
 use std::io::{BufRead, Read};
 
 /// One plane of the image as the frame declares it.
@@ -139,18 +140,17 @@ impl<R: BufRead> CountingReader<R> {
 /// and what follows it (a second image, a trailer) is no part of it.
 ///
 /// # Errors
-/// In words, where there is no frame, or the system refuses.
-pub(crate) fn read(reader: impl BufRead) -> Result<JpegHead, String> {
-    let words = |e: std::io::Error| e.to_string();
+/// There is no frame, or the system refuses.
+pub(crate) fn read(reader: impl BufRead) -> Result<JpegHead, DecodeError> {
     let mut reader = CountingReader { inner: reader, at: 0 };
     let (mut frame, mut exif) = (None, None);
     let mut ended = false;
-    reader.take(2).map_err(words)?;
-    while reader.find_marker().map_err(words)? {
+    reader.take(2)?;
+    while reader.find_marker()? {
         reader.skip(1);
-        let mut marker = reader.byte().map_err(words)?;
+        let mut marker = reader.byte()?;
         while marker == Some(0xff) {
-            marker = reader.byte().map_err(words)?;
+            marker = reader.byte()?;
         }
         match marker {
             None => break,
@@ -161,10 +161,10 @@ pub(crate) fn read(reader: impl BufRead) -> Result<JpegHead, String> {
             // Stuffed bytes of the entropy-coded data, restart markers.
             Some(0x00 | 0x01 | 0xd0..=0xd8) => {}
             Some(marker) => {
-                let length = reader.take(2).map_err(words)?;
+                let length = reader.take(2)?;
                 let Ok(length) = <[u8; 2]>::try_from(length) else { break };
                 let wanted = usize::from(u16::from_be_bytes(length)).saturating_sub(2);
-                let data = reader.take(wanted).map_err(words)?;
+                let data = reader.take(wanted)?;
                 if is_frame(marker) && frame.is_none() {
                     frame = JpegFrame::parse(marker, &data);
                 }
@@ -176,11 +176,7 @@ pub(crate) fn read(reader: impl BufRead) -> Result<JpegHead, String> {
     }
     match frame {
         Some(frame) => Ok(JpegHead { frame, exif, bytes: reader.at, ended }),
-        None if ended => Err("does not decode: the JPEG has no frame".into()),
-        None => {
-            Err("the file is cut short: the JPEG has no end, and nothing of its image is there; copy the \
-                     photo again"
-                .into())
-        }
+        None if ended => Err(DecodeError::Malformed("the JPEG has no frame")),
+        None => Err(DecodeError::NoFrame),
     }
 }

@@ -17,6 +17,7 @@ pub(crate) use head::{Coding, JpegFrame, JpegHead, read};
 pub(crate) use scan::ScanResult;
 
 use block::{BlockSink, CoefficientBlock};
+use super::DecodeError;
 use image::{DynamicImage, GrayImage, RgbImage};
 
 /// Looks for damage; `None` where the JPEG is coded in a way that is not known here.
@@ -31,26 +32,27 @@ pub(crate) fn check(bytes: &[u8], frame: &JpegFrame) -> Option<ScanResult> {
     scan::walk(bytes, frame, &mut Nothing)
 }
 
+const NO_SIZE: DecodeError = DecodeError::Malformed("the JPEG has no size");
+
 /// Decodes the whole image.
-pub(crate) fn whole(bytes: &[u8]) -> Result<DynamicImage, String> {
+pub(crate) fn whole(bytes: &[u8]) -> Result<DynamicImage, DecodeError> {
     use zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
-    let words = |e: zune_jpeg::errors::DecodeErrors| format!("does not decode: {e}");
     let options =
         DecoderOptions::default().set_strict_mode(false).set_max_width(usize::MAX).set_max_height(usize::MAX);
     let mut decoder = zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(bytes), options);
-    decoder.decode_headers().map_err(words)?;
+    decoder.decode_headers().map_err(DecodeError::Jpeg)?;
     let grey = decoder.input_colorspace() == Some(ColorSpace::Luma);
     let colours = if grey { ColorSpace::Luma } else { ColorSpace::RGB };
     let options = options.jpeg_set_out_colorspace(colours);
     let mut decoder = zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(bytes), options);
-    let pixels = decoder.decode().map_err(words)?;
-    let (width, height) = decoder.dimensions().ok_or("does not decode: the JPEG has no size")?;
+    let pixels = decoder.decode().map_err(DecodeError::Jpeg)?;
+    let (width, height) = decoder.dimensions().ok_or(NO_SIZE)?;
     let (width, height) = (width as u32, height as u32);
     let image = match grey {
         true => GrayImage::from_raw(width, height, pixels).map(DynamicImage::from),
         false => RgbImage::from_raw(width, height, pixels).map(DynamicImage::from),
     };
-    image.ok_or_else(|| "does not decode: the JPEG has too few pixels".into())
+    image.ok_or(DecodeError::Malformed("the JPEG has too few pixels"))
 }
 
 impl JpegFrame {
@@ -148,12 +150,12 @@ impl BlockSink for Vec<ComponentPlane> {
 /// the last ones may be filled in part.
 ///
 /// # Errors
-/// In words, where its data are damaged.
+/// Its data are damaged, or its coding is not known here.
 pub(crate) fn scaled(
     bytes: &[u8],
     frame: &JpegFrame,
     scale: usize,
-) -> Result<(DynamicImage, [f64; 2]), String> {
+) -> Result<(DynamicImage, [f64; 2]), DecodeError> {
     let (units_x, units_y) = frame.units();
     let plane = |c: usize| {
         let (size, part) = (frame.block_size(c, scale), frame.components[c]);
@@ -166,7 +168,8 @@ pub(crate) fn scaled(
         }
     };
     let mut planes: Vec<ComponentPlane> = (0..frame.components.len()).map(plane).collect();
-    let found = scan::walk(bytes, frame, &mut planes).ok_or("does not decode: its coding is not known")?;
+    let found = scan::walk(bytes, frame, &mut planes);
+    let found = found.ok_or(DecodeError::Malformed("its coding is not known"))?;
     if let Some(damage) = found.damage(bytes.len() as u64) {
         return Err(damage);
     }
@@ -180,8 +183,8 @@ pub(crate) fn scaled(
     };
     if planes.len() == 1 {
         let pixels: Vec<u8> = (0..height).flat_map(|y| row(0, y)[..width].iter().copied()).collect();
-        let image = GrayImage::from_raw(width as u32, height as u32, pixels).ok_or("has no size")?;
-        return Ok((image.into(), extent));
+        let image = GrayImage::from_raw(width as u32, height as u32, pixels);
+        return Ok((image.ok_or(NO_SIZE)?.into(), extent));
     }
     let steps: Vec<(usize, usize)> =
         (0..3).map(|c| (frame.components[c].h * planes[c].size.0, most_h * scale)).collect();
@@ -195,8 +198,8 @@ pub(crate) fn scaled(
             pixels.extend(if rgb { value } else { colour(value) });
         }
     }
-    let image = RgbImage::from_raw(width as u32, height as u32, pixels).ok_or("has no size")?;
-    Ok((image.into(), extent))
+    let image = RgbImage::from_raw(width as u32, height as u32, pixels);
+    Ok((image.ok_or(NO_SIZE)?.into(), extent))
 }
 
 /// From luma and chroma, BT.601 at full range.
@@ -223,25 +226,16 @@ const UNUSED: (u64, f64) = (64, 1e-3);
 
 impl ScanResult {
     /// Why the photo is not to be used, if so.
-    pub fn damage(&self, bytes: u64) -> Option<String> {
-        let share = (100.0 * self.good).floor();
+    pub fn damage(&self, bytes: u64) -> Option<DecodeError> {
+        let percent = (100.0 * self.good).floor();
         if self.short {
-            return Some(format!(
-                "the file is cut short: the JPEG has no end, and {share:.0} % of its image is there; copy the photo again"
-            ));
+            return Some(DecodeError::CutShort { percent });
         }
         if self.broken {
-            return Some(format!(
-                "its data are damaged: {share:.0} % of the image can be read before they make no sense; copy the photo again"
-            ));
+            return Some(DecodeError::Broken { percent });
         }
-        (self.left > UNUSED.0 && self.left as f64 > UNUSED.1 * bytes as f64).then(|| {
-            format!(
-                "its data are damaged: {} bytes of them are left when the image is full, so part of it is out of place; \
-                 copy the photo again",
-                self.left
-            )
-        })
+        (self.left > UNUSED.0 && self.left as f64 > UNUSED.1 * bytes as f64)
+            .then_some(DecodeError::LeftOver { bytes: self.left })
     }
 
     /// What to say of a photo that can be used.
