@@ -40,8 +40,70 @@ pub trait Site: Sync {
     fn jump(&self, seconds: f64);
 }
 
+/// How an engine fails a check.
+#[derive(Debug, thiserror::Error)]
+pub enum ConformanceFailure {
+    /// It cannot serve.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
+    /// It answers something else.
+    #[error("{what}: {found} instead of {wanted}")]
+    Differs {
+        /// What was compared.
+        what: String,
+        /// What the engine gives.
+        found: String,
+        /// What it should give.
+        wanted: String,
+    },
+    /// A call has another outcome than it should.
+    #[error("{what}: {found}")]
+    Outcome {
+        /// The call.
+        what: &'static str,
+        /// Its outcome.
+        found: String,
+    },
+    /// Who has lost a lease can still use it.
+    #[error("{what} is not refused as lost: {found}")]
+    NotLost {
+        /// The call.
+        what: String,
+        /// Its outcome.
+        found: String,
+    },
+    /// A job that failed does not rest.
+    #[error("failure {failures} ends in {fate:?}")]
+    NoRest {
+        /// Failures of the job before this one.
+        failures: u32,
+        /// What becomes of it.
+        fate: JobFate,
+    },
+    /// A shortage of the machine does not let the job rest.
+    #[error("its fate is {0:?}")]
+    NoShortage(JobFate),
+    /// A worker is given no job although one waits that fits.
+    #[error("{0} is given nothing")]
+    NothingGiven(String),
+    /// A job is given to a worker that should get none.
+    #[error("{when}, `{job}` is given away")]
+    GivenAway {
+        /// When.
+        when: String,
+        /// The job.
+        job: String,
+    },
+    /// A published job is not in the list.
+    #[error("`{0}` is not listed")]
+    NotListed(String),
+    /// The engine made a worker's thread panic.
+    #[error("a worker panicked")]
+    Panicked,
+}
+
 /// A check: its name, and what it does with a fresh site.
-pub type ConformanceCheck = (&'static str, fn(&dyn Site) -> Result<(), String>);
+pub type ConformanceCheck = (&'static str, fn(&dyn Site) -> Result<(), ConformanceFailure>);
 
 /// Seconds that a lease of the suite lasts.
 const LEASE_S: f64 = 2.0;
@@ -75,7 +137,8 @@ pub const CHECKS: [ConformanceCheck; 21] = [
 
 /// Puts an engine through the suite, each check on a site of its own, and says which checks it fails and why.
 pub fn broken(site: &dyn Fn() -> Box<dyn Site>) -> Vec<(&'static str, String)> {
-    let failed = |(name, check): &ConformanceCheck| check(&*site()).err().map(|reason| (*name, reason));
+    let failed =
+        |(name, check): &ConformanceCheck| check(&*site()).err().map(|failure| (*name, failure.to_string()));
     CHECKS.iter().filter_map(failed).collect()
 }
 
@@ -94,69 +157,74 @@ fn offer(worker: &str) -> WorkerOffer {
     WorkerOffer { worker: worker.into(), free, whole: free, lease_s: LEASE_S }
 }
 
-fn words(error: EngineError) -> String {
-    error.to_string()
+fn expect<T: PartialEq + Debug>(what: &str, found: T, wanted: T) -> Result<(), ConformanceFailure> {
+    if found == wanted {
+        return Ok(());
+    }
+    let (found, wanted) = (format!("{found:?}"), format!("{wanted:?}"));
+    Err(ConformanceFailure::Differs { what: what.to_owned(), found, wanted })
 }
 
-fn expect<T: PartialEq + Debug>(what: &str, found: T, wanted: T) -> Result<(), String> {
-    if found == wanted { Ok(()) } else { Err(format!("{what}: {found:?} instead of {wanted:?}")) }
+fn outcome(what: &'static str, found: &dyn Debug) -> ConformanceFailure {
+    ConformanceFailure::Outcome { what, found: format!("{found:?}") }
 }
 
-fn claim(engine: &dyn JobEngine, worker: &str) -> Result<JobLease, String> {
-    engine.claim(&offer(worker)).map_err(words)?.ok_or_else(|| format!("{worker} is given nothing"))
+fn claim(engine: &dyn JobEngine, worker: &str) -> Result<JobLease, ConformanceFailure> {
+    engine.claim(&offer(worker))?.ok_or_else(|| ConformanceFailure::NothingGiven(worker.to_owned()))
 }
 
-fn nothing(engine: &dyn JobEngine, when: &str) -> Result<(), String> {
-    match engine.claim(&offer("anybody")).map_err(words)? {
+fn nothing(engine: &dyn JobEngine, when: &str) -> Result<(), ConformanceFailure> {
+    match engine.claim(&offer("anybody"))? {
         None => Ok(()),
-        Some(lease) => Err(format!("{when}, `{}` is given away", lease.job.id)),
+        Some(lease) => Err(ConformanceFailure::GivenAway { when: when.to_owned(), job: lease.job.id }),
     }
 }
 
-fn lost<T: Debug>(what: &str, result: Result<T, EngineError>) -> Result<(), String> {
+fn lost<T: Debug>(what: &str, result: Result<T, EngineError>) -> Result<(), ConformanceFailure> {
     match result {
         Err(EngineError::Lost { .. }) => Ok(()),
-        other => Err(format!("{what} is not refused as lost: {other:?}")),
+        other => Err(ConformanceFailure::NotLost { what: what.to_owned(), found: format!("{other:?}") }),
     }
 }
 
-fn state(engine: &dyn JobEngine, id: &str) -> Result<JobState, String> {
-    let jobs = engine.jobs().map_err(words)?;
-    jobs.iter().find(|j| j.job.id == id).map(|j| j.state).ok_or_else(|| format!("`{id}` is not listed"))
+fn state(engine: &dyn JobEngine, id: &str) -> Result<JobState, ConformanceFailure> {
+    let jobs = engine.jobs()?;
+    let found = jobs.iter().find(|j| j.job.id == id).map(|j| j.state);
+    found.ok_or_else(|| ConformanceFailure::NotListed(id.to_owned()))
 }
 
-fn publishing_twice(site: &dyn Site) -> Result<(), String> {
+fn publishing_twice(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
-    expect("the first time", engine.publish(&job("a")).map_err(words)?, Published::New)?;
-    expect("the second time", site.engine().publish(&job("a")).map_err(words)?, Published::Known)?;
+    expect("the first time", engine.publish(&job("a"))?, Published::New)?;
+    expect("the second time", site.engine().publish(&job("a"))?, Published::Known)?;
     let lease = claim(&*engine, "w")?;
-    expect("while it is worked on", engine.publish(&job("a")).map_err(words)?, Published::Known)?;
-    engine.complete(&lease, "done").map_err(words)?;
-    expect("when it is done", engine.publish(&job("a")).map_err(words)?, Published::Known)?;
+    expect("while it is worked on", engine.publish(&job("a"))?, Published::Known)?;
+    engine.complete(&lease, "done")?;
+    expect("when it is done", engine.publish(&job("a"))?, Published::Known)?;
     nothing(&*engine, "done and published again")?;
-    expect("jobs", engine.jobs().map_err(words)?.len(), 1)
+    expect("jobs", engine.jobs()?.len(), 1)
 }
 
-fn another_payload(site: &dyn Site) -> Result<(), String> {
+fn another_payload(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
-    engine.publish(&job("a")).map_err(words)?;
+    engine.publish(&job("a"))?;
     let changed = Job { payload: "do it differently".into(), ..job("a") };
     let lease = claim(&*engine, "w")?;
     match engine.publish(&changed) {
         Err(EngineError::InProgress(_)) => {}
-        other => return Err(format!("changing it under a worker's hands: {other:?}")),
+        other => return Err(outcome("changing it under a worker's hands", &other)),
     }
-    engine.complete(&lease, "done").map_err(words)?;
-    expect("when it is done", engine.publish(&changed).map_err(words)?, Published::Changed)?;
+    engine.complete(&lease, "done")?;
+    expect("when it is done", engine.publish(&changed)?, Published::Changed)?;
     let again = claim(&*engine, "w")?;
     expect("the payload", again.job.payload.as_str(), "do it differently")?;
     expect("a higher fence", again.attempt > lease.attempt, true)
 }
 
-fn urgency(site: &dyn Site) -> Result<(), String> {
+fn urgency(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
     for (id, priority) in [("low", -1), ("first", 0), ("second", 0), ("high", 5)] {
-        engine.publish(&Job { priority, ..job(id) }).map_err(words)?;
+        engine.publish(&Job { priority, ..job(id) })?;
     }
     for wanted in ["high", "first", "second", "low"] {
         expect("the next", claim(&*engine, "w")?.job.id.as_str(), wanted)?;
@@ -164,19 +232,20 @@ fn urgency(site: &dyn Site) -> Result<(), String> {
     nothing(&*engine, "with every job taken")
 }
 
-fn fitting(site: &dyn Site) -> Result<(), String> {
+fn fitting(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
     let large = Needs { cores: 8, memory_bytes: 100, accelerators: 0 };
-    engine.publish(&Job { needs: large, priority: 9, ..job("large") }).map_err(words)?;
-    engine.publish(&job("small")).map_err(words)?;
+    engine.publish(&Job { needs: large, priority: 9, ..job("large") })?;
+    engine.publish(&job("small"))?;
     expect("what fits", claim(&*engine, "w")?.job.id.as_str(), "small")?;
     nothing(&*engine, "with only the large job left")?;
     let roomy = WorkerOffer { free: Needs { cores: 8, ..offer("w").free }, ..offer("roomy") };
-    let lease = engine.claim(&roomy).map_err(words)?.ok_or("a worker with the capacity is given nothing")?;
+    let given = engine.claim(&roomy)?;
+    let lease = given.ok_or_else(|| ConformanceFailure::NothingGiven("a worker with the capacity".into()))?;
     expect("to the worker with the capacity", lease.job.id.as_str(), "large")
 }
 
-fn reserving_capacity(site: &dyn Site) -> Result<(), String> {
+fn reserving_capacity(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
     let whole = Needs { accelerators: 2, ..offer("w").free };
     let with = |id: &str, priority, accelerators| {
@@ -184,12 +253,12 @@ fn reserving_capacity(site: &dyn Site) -> Result<(), String> {
         Job { priority, needs, ..job(id) }
     };
     for job in [with("both", 9, 2), with("one", 1, 1), with("none", 0, 0), with("too many", 99, 3)] {
-        engine.publish(&job).map_err(words)?;
+        engine.publish(&job)?;
     }
     let claim = |accelerators| {
         let free = Needs { accelerators, ..whole };
-        let lease = engine.claim(&WorkerOffer { free, whole, ..offer("w") }).map_err(words)?;
-        Ok::<_, String>(lease.map(|lease| lease.job.id))
+        let lease = engine.claim(&WorkerOffer { free, whole, ..offer("w") })?;
+        Ok::<_, ConformanceFailure>(lease.map(|lease| lease.job.id))
     };
     // One of two accelerators is free: it is kept for the job that needs both.
     expect("what needs none goes ahead", claim(1)?.as_deref(), Some("none"))?;
@@ -199,27 +268,26 @@ fn reserving_capacity(site: &dyn Site) -> Result<(), String> {
     expect("with one free again", claim(1)?.as_deref(), Some("one"))
 }
 
-fn one_worker_per_job(site: &dyn Site) -> Result<(), String> {
+fn one_worker_per_job(site: &dyn Site) -> Result<(), ConformanceFailure> {
     const JOBS: usize = 24;
     let engine = site.engine();
     for i in 0..JOBS {
-        engine.publish(&job(&format!("job {i}"))).map_err(words)?;
+        engine.publish(&job(&format!("job {i}")))?;
     }
     let taken = std::thread::scope(|scope| {
         let workers: Vec<_> = (0..4)
             .map(|w| {
-                scope.spawn(move || -> Result<Vec<String>, String> {
+                scope.spawn(move || -> Result<Vec<String>, ConformanceFailure> {
                     let (engine, mut mine) = (site.engine(), Vec::new());
-                    while let Some(lease) = engine.claim(&offer(&format!("w{w}"))).map_err(words)? {
-                        engine.complete(&lease, "done").map_err(words)?;
+                    while let Some(lease) = engine.claim(&offer(&format!("w{w}")))? {
+                        engine.complete(&lease, "done")?;
                         mine.push(lease.job.id);
                     }
                     Ok(mine)
                 })
             })
             .collect();
-        let joined =
-            workers.into_iter().map(|w| w.join().unwrap_or_else(|_| Err("a worker panicked".into())));
+        let joined = workers.into_iter().map(|w| w.join().unwrap_or(Err(ConformanceFailure::Panicked)));
         joined.collect::<Result<Vec<_>, _>>()
     })?;
     let mut counts = BTreeMap::new();
@@ -230,21 +298,21 @@ fn one_worker_per_job(site: &dyn Site) -> Result<(), String> {
     expect("jobs done twice", counts.values().filter(|&&n| n != 1).count(), 0)
 }
 
-fn heartbeat_holds(site: &dyn Site) -> Result<(), String> {
+fn heartbeat_holds(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
-    engine.publish(&job("a")).map_err(words)?;
+    engine.publish(&job("a"))?;
     let lease = claim(&*engine, "w")?;
     for _ in 0..4 {
         site.pass(LEASE_S * 0.6);
         nothing(&*site.engine(), "while its worker beats")?;
-        engine.heartbeat(&lease).map_err(words)?;
+        engine.heartbeat(&lease)?;
     }
-    expect("completing it", engine.complete(&lease, "done").map_err(words)?, Completed::Now)
+    expect("completing it", engine.complete(&lease, "done")?, Completed::Now)
 }
 
 /// Publishes a job, lets a worker take it and fall silent, and another one take over.
-fn taken_over(site: &dyn Site, engine: &dyn JobEngine) -> Result<(JobLease, JobLease), String> {
-    engine.publish(&job("a")).map_err(words)?;
+fn taken_over(site: &dyn Site, engine: &dyn JobEngine) -> Result<(JobLease, JobLease), ConformanceFailure> {
+    engine.publish(&job("a"))?;
     let zombie = claim(engine, "zombie")?;
     nothing(engine, "before the lease ends")?;
     site.pass(LEASE_S * 1.5);
@@ -254,56 +322,56 @@ fn taken_over(site: &dyn Site, engine: &dyn JobEngine) -> Result<(JobLease, JobL
     Ok((zombie, claim(&*site.engine(), "heir")?))
 }
 
-fn silence(site: &dyn Site) -> Result<(), String> {
+fn silence(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
     let (zombie, heir) = taken_over(site, &*engine)?;
     expect("the same job", &heir.job.id, &zombie.job.id)?;
     expect("a higher fence", heir.attempt > zombie.attempt, true)?;
-    let changes = engine.watch(0, usize::MAX).map_err(words)?;
+    let changes = engine.watch(0, usize::MAX)?;
     expect("it is reported", changes.iter().any(|c| c.kind == ChangeKind::Expired), true)
 }
 
-fn zombie(site: &dyn Site) -> Result<(), String> {
+fn zombie(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
     let (zombie, heir) = taken_over(site, &*engine)?;
     lost("a zombie's heartbeat", engine.heartbeat(&zombie))?;
     lost("a zombie's completion", engine.complete(&zombie, "stale"))?;
     lost("a zombie's failure", engine.fail(&zombie, ErrorClass::Fatal, "stale"))?;
-    expect("the heir completes", engine.complete(&heir, "fresh").map_err(words)?, Completed::Now)?;
+    expect("the heir completes", engine.complete(&heir, "fresh")?, Completed::Now)?;
     lost("a zombie's completion after the end", engine.complete(&zombie, "stale"))?;
-    let jobs = engine.jobs().map_err(words)?;
+    let jobs = engine.jobs()?;
     expect("the outcome", jobs[0].outcome.as_deref(), Some("fresh"))
 }
 
-fn late_completion(site: &dyn Site) -> Result<(), String> {
+fn late_completion(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
-    engine.publish(&job("a")).map_err(words)?;
+    engine.publish(&job("a"))?;
     let lease = claim(&*engine, "w")?;
     site.pass(LEASE_S * 1.5);
-    expect("completing late", engine.complete(&lease, "done").map_err(words)?, Completed::Now)?;
+    expect("completing late", engine.complete(&lease, "done")?, Completed::Now)?;
     nothing(&*engine, "after that")
 }
 
-fn completing_twice(site: &dyn Site) -> Result<(), String> {
+fn completing_twice(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
-    engine.publish(&job("a")).map_err(words)?;
+    engine.publish(&job("a"))?;
     let lease = claim(&*engine, "w")?;
-    expect("the first time", engine.complete(&lease, "done").map_err(words)?, Completed::Now)?;
-    expect("the second time", site.engine().complete(&lease, "done").map_err(words)?, Completed::Before)?;
+    expect("the first time", engine.complete(&lease, "done")?, Completed::Now)?;
+    expect("the second time", site.engine().complete(&lease, "done")?, Completed::Before)?;
     lost("another outcome", engine.complete(&lease, "something else"))?;
     lost("a failure after the end", engine.fail(&lease, ErrorClass::Retryable, "late"))?;
-    let changes = engine.watch(0, usize::MAX).map_err(words)?;
+    let changes = engine.watch(0, usize::MAX)?;
     expect("completions reported", changes.iter().filter(|c| c.kind == ChangeKind::Completed).count(), 1)
 }
 
-fn back_off(site: &dyn Site) -> Result<(), String> {
+fn back_off(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
-    engine.publish(&Job { retry: Retry { attempts: 9, ..job("a").retry }, ..job("a") }).map_err(words)?;
+    engine.publish(&Job { retry: Retry { attempts: 9, ..job("a").retry }, ..job("a") })?;
     for failures in 0..3 {
         let lease = claim(&*engine, "w")?;
-        match engine.fail(&lease, ErrorClass::Retryable, "no luck").map_err(words)? {
+        match engine.fail(&lease, ErrorClass::Retryable, "no luck")? {
             JobFate::Retry { .. } => {}
-            other => return Err(format!("failure {failures} ends in {other:?}")),
+            fate => return Err(ConformanceFailure::NoRest { failures, fate }),
         }
         let rest = REST_S * f64::from(1 << failures);
         site.pass(rest * 0.5);
@@ -316,13 +384,13 @@ fn back_off(site: &dyn Site) -> Result<(), String> {
 /// A day, either way.
 const JUMPS_S: [f64; 2] = [-86_400.0, 86_400.0];
 
-fn rest_under_jumps(site: &dyn Site) -> Result<(), String> {
+fn rest_under_jumps(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
     let retry = Retry { attempts: 9, longest_delay_s: REST_S, ..job("a").retry };
-    engine.publish(&Job { retry, ..job("a") }).map_err(words)?;
+    engine.publish(&Job { retry, ..job("a") })?;
     for jump in JUMPS_S {
         let lease = claim(&*engine, "w")?;
-        engine.fail(&lease, ErrorClass::Retryable, "no luck").map_err(words)?;
+        engine.fail(&lease, ErrorClass::Retryable, "no luck")?;
         site.jump(jump);
         nothing(&*engine, &format!("in a rest, after a jump of {jump} s"))?;
         site.pass(REST_S * 1.5);
@@ -330,53 +398,53 @@ fn rest_under_jumps(site: &dyn Site) -> Result<(), String> {
     claim(&*engine, "w").map(drop)
 }
 
-fn lease_under_jumps(site: &dyn Site) -> Result<(), String> {
+fn lease_under_jumps(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
     for (id, jump) in ["a", "b"].into_iter().zip(JUMPS_S) {
-        engine.publish(&job(id)).map_err(words)?;
+        engine.publish(&job(id))?;
         let lease = claim(&*engine, "w")?;
         site.jump(jump);
         nothing(&*site.engine(), &format!("while its worker holds it, after a jump of {jump} s"))?;
-        engine.heartbeat(&lease).map_err(words)?;
+        engine.heartbeat(&lease)?;
         site.jump(jump);
         site.pass(LEASE_S * 1.5);
         nothing(&*engine, "as the lease ends")?;
         site.pass(REST_S * 1.5);
         let heir = claim(&*engine, "heir")?;
         expect("a silent worker has lost it", heir.attempt > lease.attempt, true)?;
-        engine.complete(&heir, "done").map_err(words)?;
+        engine.complete(&heir, "done")?;
     }
     Ok(())
 }
 
-fn attempts_end(site: &dyn Site) -> Result<(), String> {
+fn attempts_end(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
-    engine.publish(&job("a")).map_err(words)?;
+    engine.publish(&job("a"))?;
     for last in [false, false, true] {
         let lease = claim(&*engine, "w")?;
-        let fate = engine.fail(&lease, ErrorClass::Retryable, "no luck").map_err(words)?;
+        let fate = engine.fail(&lease, ErrorClass::Retryable, "no luck")?;
         expect("a dead letter", fate == JobFate::Dead, last)?;
         site.pass(60.0 * REST_S);
     }
     expect("its state", state(&*engine, "a")?, JobState::Dead)?;
     nothing(&*engine, "dead")?;
-    let jobs = engine.jobs().map_err(words)?;
+    let jobs = engine.jobs()?;
     expect("its last error", jobs[0].error.as_deref(), Some("no luck"))
 }
 
-fn fatal(site: &dyn Site) -> Result<(), String> {
+fn fatal(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
-    engine.publish(&job("a")).map_err(words)?;
-    engine.publish(&job("b")).map_err(words)?;
+    engine.publish(&job("a"))?;
+    engine.publish(&job("b"))?;
     let lease = claim(&*engine, "w")?;
-    expect("its fate", engine.fail(&lease, ErrorClass::Fatal, "bad input").map_err(words)?, JobFate::Dead)?;
+    expect("its fate", engine.fail(&lease, ErrorClass::Fatal, "bad input")?, JobFate::Dead)?;
     expect("the rest goes on", claim(&*engine, "w")?.job.id.as_str(), "b")?;
     nothing(&*engine, "with the other one dead")
 }
 
-fn silent_to_death(site: &dyn Site) -> Result<(), String> {
+fn silent_to_death(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
-    engine.publish(&job("a")).map_err(words)?;
+    engine.publish(&job("a"))?;
     for _ in 0..3 {
         claim(&*engine, "w")?;
         site.pass(LEASE_S * 1.5);
@@ -387,59 +455,59 @@ fn silent_to_death(site: &dyn Site) -> Result<(), String> {
     expect("its state", state(&*engine, "a")?, JobState::Dead)
 }
 
-fn stopping(site: &dyn Site) -> Result<(), String> {
+fn stopping(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
-    engine.publish(&job("a")).map_err(words)?;
+    engine.publish(&job("a"))?;
     for _ in 0..5 {
         let lease = claim(&*engine, "w")?;
-        let fate = engine.fail(&lease, ErrorClass::Stopped, "stopped").map_err(words)?;
+        let fate = engine.fail(&lease, ErrorClass::Stopped, "stopped")?;
         expect("its fate", fate, JobFate::Released)?;
     }
     let lease = claim(&*engine, "w")?;
-    expect("completing it", engine.complete(&lease, "done").map_err(words)?, Completed::Now)
+    expect("completing it", engine.complete(&lease, "done")?, Completed::Now)
 }
 
-fn shortage(site: &dyn Site) -> Result<(), String> {
+fn shortage(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
-    engine.publish(&job("a")).map_err(words)?;
+    engine.publish(&job("a"))?;
     for _ in 0..5 {
         let lease = claim(&*engine, "w")?;
         expect("the failures before", lease.failures, 0)?;
-        match engine.fail(&lease, ErrorClass::Shortage, "too many open files").map_err(words)? {
+        match engine.fail(&lease, ErrorClass::Shortage, "too many open files")? {
             JobFate::Retry { .. } => {}
-            other => return Err(format!("its fate is {other:?}")),
+            fate => return Err(ConformanceFailure::NoShortage(fate)),
         }
         nothing(&*engine, "in its rest")?;
         site.pass(REST_S * 1.1);
     }
     let lease = claim(&*engine, "w")?;
-    expect("completing it", engine.complete(&lease, "done").map_err(words)?, Completed::Now)
+    expect("completing it", engine.complete(&lease, "done")?, Completed::Now)
 }
 
-fn reviving(site: &dyn Site) -> Result<(), String> {
+fn reviving(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
-    engine.publish(&job("a")).map_err(words)?;
+    engine.publish(&job("a"))?;
     match engine.revive("a") {
         Err(EngineError::Unknown(_)) => {}
-        other => return Err(format!("reviving who lives: {other:?}")),
+        other => return Err(outcome("reviving who lives", &other)),
     }
     let lease = claim(&*engine, "w")?;
-    engine.fail(&lease, ErrorClass::Fatal, "bad input").map_err(words)?;
-    engine.revive("a").map_err(words)?;
+    engine.fail(&lease, ErrorClass::Fatal, "bad input")?;
+    engine.revive("a")?;
     let again = claim(&*engine, "w")?;
     expect("a higher fence", again.attempt > lease.attempt, true)?;
-    match engine.fail(&again, ErrorClass::Retryable, "no luck").map_err(words)? {
+    match engine.fail(&again, ErrorClass::Retryable, "no luck")? {
         JobFate::Retry { .. } => Ok(()),
-        other => Err(format!("its attempts are not counted from 0 again: {other:?}")),
+        other => Err(outcome("its attempts are not counted from 0 again", &other)),
     }
 }
 
-fn watching(site: &dyn Site) -> Result<(), String> {
+fn watching(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let engine = site.engine();
-    engine.publish(&job("a")).map_err(words)?;
+    engine.publish(&job("a"))?;
     let lease = claim(&*engine, "w")?;
-    engine.complete(&lease, "done").map_err(words)?;
-    let changes = site.engine().watch(0, usize::MAX).map_err(words)?;
+    engine.complete(&lease, "done")?;
+    let changes = site.engine().watch(0, usize::MAX)?;
     let kinds: Vec<_> = changes.iter().map(|c| c.kind).collect();
     expect(
         "what is reported",
@@ -447,8 +515,8 @@ fn watching(site: &dyn Site) -> Result<(), String> {
         vec![ChangeKind::Published, ChangeKind::Claimed, ChangeKind::Completed],
     )?;
     expect("in order", changes.windows(2).all(|w| w[0].revision < w[1].revision), true)?;
-    let rest = engine.watch(changes[0].revision, usize::MAX).map_err(words)?;
+    let rest = engine.watch(changes[0].revision, usize::MAX)?;
     expect("from a revision on", &rest[..], &changes[1..])?;
-    expect("at most so many", engine.watch(0, 1).map_err(words)?.len(), 1)?;
-    expect("nothing new", engine.watch(changes[2].revision, usize::MAX).map_err(words)?.len(), 0)
+    expect("at most so many", engine.watch(0, 1)?.len(), 1)?;
+    expect("nothing new", engine.watch(changes[2].revision, usize::MAX)?.len(), 0)
 }
