@@ -20,7 +20,7 @@ pub use builtin::{
 pub use contours::ContourTree;
 pub use network_file::NetworkFile;
 pub use networks::{EdgeNetwork, SkyNetwork, TransientNetwork};
-pub use onnx::Runtime;
+pub use onnx::{ModelFileError, OnnxError, Runtime, WireError};
 pub use provider::{
     Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, TransientDetector, VisionError, Work,
 };

@@ -1,6 +1,8 @@
 //! The traits of 2D models. Images are sRGB in [0, 1], three planes; masks have the image's size.
 
+use crate::onnx::ModelFileError;
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
+use std::path::PathBuf;
 
 /// Why a provider could not answer.
 #[derive(Debug, thiserror::Error)]
@@ -8,6 +10,14 @@ pub enum VisionError {
     /// The network runtime or a model file cannot be used.
     #[error("{0}")]
     Model(String),
+    /// A network file is refused before the runtime reads it.
+    #[error("{}: {reason}", file.display())]
+    File {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        reason: Box<ModelFileError>,
+    },
     /// The image does not fit the provider.
     #[error("{0}")]
     Image(String),

@@ -4,7 +4,7 @@
 //! is responsible for its origin.
 
 use crate::VisionError;
-use crate::onnx::inspect;
+use crate::onnx::{ModelFileError, inspect};
 use std::path::{Path, PathBuf};
 
 /// Where a network comes from.
@@ -125,14 +125,14 @@ fn part_of(folder: &Path, stem: &str, part: &str) -> Option<PathBuf> {
 }
 
 /// A network file that was found.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct ModelFile {
     /// Its name.
     pub name: String,
     /// Bytes, without those of weights kept beside it.
     pub bytes: u64,
     /// BLAKE3 of the file, and of the files with its weights; or why it cannot be used.
-    pub hash: Result<String, String>,
+    pub hash: Result<String, ModelFileError>,
     /// Where it comes from, going by its name.
     pub family: Option<Family>,
     /// What it is for, going by its name.

@@ -2,7 +2,7 @@
 //!
 //! A network file is a program from an untrusted source. Every refusal gives a reason; the caller adds the file's name.
 
-use super::wire::{WireValue, fields};
+use super::wire::{WireError, WireValue, fields};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
@@ -26,38 +26,141 @@ pub(crate) struct Inspected {
     pub beside: bool,
 }
 
-/// Reads a file and checks it. The error does not name the file.
-pub(crate) fn inspect(path: &Path) -> Result<Inspected, String> {
-    let unreadable = |e: std::io::Error| format!("cannot be read: {e}");
+/// Why a network file is not given to the runtime. The words follow the file's name, which the caller adds.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelFileError {
+    /// The system refuses the file.
+    #[error("cannot be read: {0}")]
+    Unreadable(std::io::Error),
+    /// It is a folder, or a device.
+    #[error("is no file")]
+    NoFile,
+    /// It is larger than any network file.
+    #[error("has {bytes} bytes; no network file is larger than {LARGEST}")]
+    TooLarge {
+        /// Its size.
+        bytes: u64,
+    },
+    /// It is something else, which its first bytes show.
+    #[error("is no network: {0}")]
+    NoNetwork(&'static str),
+    /// Its structure is not that of a whole and sound network.
+    #[error("is no whole ONNX file: {0}")]
+    Structure(OnnxError),
+    /// It names weights that do not lie in its folder.
+    #[error("wants weights from `{name}`, outside its folder; it is not followed there")]
+    Outside {
+        /// The file with weights, as the network names it.
+        name: String,
+    },
+    /// A file with its weights is a folder, or a device.
+    #[error("keeps weights in `{name}`, which is no file")]
+    WeightsNoFile {
+        /// The file with weights.
+        name: String,
+    },
+    /// The system refuses a file with its weights.
+    #[error("keeps weights in `{name}` beside it, which cannot be read: {source}")]
+    WeightsUnreadable {
+        /// The file with weights.
+        name: String,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// A file with its weights is too short.
+    #[error("wants {wanted} bytes of `{name}` beside it, which has {bytes}")]
+    WeightsCutShort {
+        /// The file with weights.
+        name: String,
+        /// Bytes that the network takes from it.
+        wanted: u64,
+        /// Its size.
+        bytes: u64,
+    },
+    /// The files with its weights are larger than those of any network.
+    #[error("keeps more than {LARGEST_BESIDE} bytes of weights beside it")]
+    WeightsTooLarge,
+}
+
+/// What is wrong in the structure of an ONNX file.
+#[derive(Debug, thiserror::Error)]
+pub enum OnnxError {
+    /// It is no protobuf message.
+    #[error(transparent)]
+    Wire(#[from] WireError),
+    /// It holds no graph.
+    #[error("it holds no graph")]
+    NoGraph,
+    /// Graphs within graphs go deeper than in any network.
+    #[error("its graphs are nested more than {DEEPEST} deep")]
+    TooDeep,
+    /// A sparse weight is larger than any photo's input.
+    #[error("a sparse weight claims {} numbers", sides(dims))]
+    SparseSize {
+        /// Its dimensions.
+        dims: Vec<u64>,
+    },
+    /// A weight is larger than the bytes that hold it.
+    #[error("its weight `{name}` claims {} numbers, which are not there", sides(dims))]
+    WeightSize {
+        /// The weight.
+        name: String,
+        /// Its dimensions.
+        dims: Vec<u64>,
+    },
+    /// A weight lies in another file, at no position.
+    #[error("its weight `{name}` lies at {key} `{text}` of `{location}`")]
+    WeightPosition {
+        /// The weight.
+        name: String,
+        /// `offset` or `length`.
+        key: &'static str,
+        /// Its value, which is no number.
+        text: String,
+        /// The file with the weight.
+        location: String,
+    },
+    /// An input or output is larger than any photo's.
+    #[error("its input or output `{name}` is declared as {}, larger than any photo's", sides(dims))]
+    Declared {
+        /// The input or output.
+        name: String,
+        /// Its dimensions, as far as they are fixed.
+        dims: Vec<u64>,
+    },
+}
+
+/// Reads a file and checks it.
+pub(crate) fn inspect(path: &Path) -> Result<Inspected, ModelFileError> {
+    let unreadable = ModelFileError::Unreadable;
     let about = std::fs::metadata(path).map_err(unreadable)?;
     if !about.is_file() {
-        return Err("is no file".into());
+        return Err(ModelFileError::NoFile);
     }
     if about.len() > LARGEST {
-        return Err(format!("has {} bytes; no network file is larger than {LARGEST}", about.len()));
+        return Err(ModelFileError::TooLarge { bytes: about.len() });
     }
     let mut bytes = Vec::with_capacity(about.len() as usize);
     // At most the limit, whatever size was reported: the file may be growing.
     File::open(path).map_err(unreadable)?.take(LARGEST).read_to_end(&mut bytes).map_err(unreadable)?;
     if let Some(what) = something_else(&bytes) {
-        return Err(format!("is no network: {what}"));
+        return Err(ModelFileError::NoNetwork(what));
     }
     let mut walk = OnnxWalk { graphs: 0, beside: BTreeMap::new() };
-    walk.model(&bytes).map_err(|e| format!("is no whole ONNX file: {e}"))?;
+    walk.model(&bytes).map_err(ModelFileError::Structure)?;
     let mut hasher = blake3::Hasher::new();
     hasher.update(&bytes);
     let mut total = 0;
     for (name, end) in &walk.beside {
         let file = beside(path, name)?;
-        let unreadable =
-            |e: std::io::Error| format!("keeps weights in `{name}` beside it, which cannot be read: {e}");
+        let unreadable = |source| ModelFileError::WeightsUnreadable { name: name.clone(), source };
         let length = std::fs::metadata(&file).map_err(unreadable)?.len();
         if *end > length {
-            return Err(format!("wants {end} bytes of `{name}` beside it, which has {length}"));
+            return Err(ModelFileError::WeightsCutShort { name: name.clone(), wanted: *end, bytes: length });
         }
         total += length;
         if total > LARGEST_BESIDE {
-            return Err(format!("keeps more than {LARGEST_BESIDE} bytes of weights beside it"));
+            return Err(ModelFileError::WeightsTooLarge);
         }
         hasher.update_reader(File::open(&file).map_err(unreadable)?).map_err(unreadable)?;
     }
@@ -82,8 +185,8 @@ fn something_else(bytes: &[u8]) -> Option<&'static str> {
 }
 
 /// The file with weights that a network names: in the network's folder, or below it.
-fn beside(path: &Path, name: &str) -> Result<PathBuf, String> {
-    let outside = || format!("wants weights from `{name}`, outside its folder; it is not followed there");
+fn beside(path: &Path, name: &str) -> Result<PathBuf, ModelFileError> {
+    let outside = || ModelFileError::Outside { name: name.to_owned() };
     let plain = |part: Component| matches!(part, Component::Normal(_) | Component::CurDir);
     if name.is_empty() || name.contains('\\') || !Path::new(name).components().all(plain) {
         return Err(outside());
@@ -91,13 +194,13 @@ fn beside(path: &Path, name: &str) -> Result<PathBuf, String> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let real = |p: &Path| {
         std::fs::canonicalize(p)
-            .map_err(|e| format!("keeps weights in `{name}` beside it, which cannot be read: {e}"))
+            .map_err(|source| ModelFileError::WeightsUnreadable { name: name.to_owned(), source })
     };
     let (folder, file) = (real(folder)?, real(&folder.join(name))?);
     if !file.starts_with(&folder) {
         return Err(outside()); // by a link
     }
-    if file.is_file() { Ok(file) } else { Err(format!("keeps weights in `{name}`, which is no file")) }
+    if file.is_file() { Ok(file) } else { Err(ModelFileError::WeightsNoFile { name: name.to_owned() }) }
 }
 
 /// The state of a walk through a file.
@@ -108,7 +211,7 @@ struct OnnxWalk {
 }
 
 impl OnnxWalk {
-    fn model(&mut self, bytes: &[u8]) -> Result<(), String> {
+    fn model(&mut self, bytes: &[u8]) -> Result<(), OnnxError> {
         for field in fields(bytes) {
             let field = field?;
             match field.number {
@@ -118,14 +221,14 @@ impl OnnxWalk {
             }
         }
         match self.graphs {
-            0 => Err("it holds no graph".into()),
+            0 => Err(OnnxError::NoGraph),
             _ => Ok(()),
         }
     }
 
-    fn graph(&mut self, bytes: &[u8], depth: u32) -> Result<(), String> {
+    fn graph(&mut self, bytes: &[u8], depth: u32) -> Result<(), OnnxError> {
         if depth > DEEPEST {
-            return Err(format!("its graphs are nested more than {DEEPEST} deep"));
+            return Err(OnnxError::TooDeep);
         }
         self.graphs += 1;
         for field in fields(bytes) {
@@ -142,7 +245,7 @@ impl OnnxWalk {
         Ok(())
     }
 
-    fn function(&mut self, bytes: &[u8]) -> Result<(), String> {
+    fn function(&mut self, bytes: &[u8]) -> Result<(), OnnxError> {
         for field in fields(bytes) {
             let field = field?;
             if field.number == 7 {
@@ -152,7 +255,7 @@ impl OnnxWalk {
         Ok(())
     }
 
-    fn node(&mut self, bytes: &[u8], depth: u32) -> Result<(), String> {
+    fn node(&mut self, bytes: &[u8], depth: u32) -> Result<(), OnnxError> {
         for field in fields(bytes) {
             let field = field?;
             if field.number != 5 {
@@ -173,7 +276,7 @@ impl OnnxWalk {
     }
 
     /// Values and indices, which are tensors; its dimensions are those of a tensor that nobody makes until it is run.
-    fn sparse(&mut self, bytes: &[u8]) -> Result<(), String> {
+    fn sparse(&mut self, bytes: &[u8]) -> Result<(), OnnxError> {
         let mut dims = Vec::new();
         for field in fields(bytes) {
             let field = field?;
@@ -185,11 +288,11 @@ impl OnnxWalk {
         }
         match elements(&dims) {
             Some(n) if n <= LARGEST_SHAPE => Ok(()),
-            _ => Err(format!("a sparse weight claims {} numbers", sides(&dims))),
+            _ => Err(OnnxError::SparseSize { dims }),
         }
     }
 
-    fn tensor(&mut self, bytes: &[u8]) -> Result<(), String> {
+    fn tensor(&mut self, bytes: &[u8]) -> Result<(), OnnxError> {
         let (mut dims, mut name, mut elsewhere) = (Vec::new(), String::new(), false);
         let mut entries = BTreeMap::new();
         for field in fields(bytes) {
@@ -209,20 +312,20 @@ impl OnnxWalk {
         let most = if elsewhere { 2 * LARGEST_BESIDE } else { 2 * bytes.len() as u64 };
         match elements(&dims) {
             Some(n) if n <= most => {}
-            _ => {
-                return Err(format!(
-                    "its weight `{name}` claims {} numbers, which are not there",
-                    sides(&dims)
-                ));
-            }
+            _ => return Err(OnnxError::WeightSize { name, dims }),
         }
         if !elsewhere {
             return Ok(());
         }
         let location = entries.get("location").cloned().unwrap_or_default();
-        let number = |key: &str| -> Result<u64, String> {
+        let number = |key: &'static str| -> Result<u64, OnnxError> {
             let text = entries.get(key).map_or("0", String::as_str);
-            text.parse().map_err(|_| format!("its weight `{name}` lies at {key} `{text}` of `{location}`"))
+            text.parse().map_err(|_| OnnxError::WeightPosition {
+                name: name.clone(),
+                key,
+                text: text.to_owned(),
+                location: location.clone(),
+            })
         };
         let end = number("offset")?.saturating_add(number("length")?);
         let known = self.beside.entry(location).or_default();
@@ -231,7 +334,7 @@ impl OnnxWalk {
     }
 }
 
-fn entry(bytes: &[u8]) -> Result<(String, String), String> {
+fn entry(bytes: &[u8]) -> Result<(String, String), WireError> {
     let (mut key, mut value) = (String::new(), String::new());
     for field in fields(bytes) {
         let field = field?;
@@ -245,7 +348,7 @@ fn entry(bytes: &[u8]) -> Result<(String, String), String> {
 }
 
 /// Refuses an input or output that is declared larger than any photo's.
-fn declared(bytes: &[u8]) -> Result<(), String> {
+fn declared(bytes: &[u8]) -> Result<(), OnnxError> {
     let (mut name, mut dims) = (String::new(), Vec::new());
     for field in fields(bytes) {
         let field = field?;
@@ -273,15 +376,12 @@ fn declared(bytes: &[u8]) -> Result<(), String> {
     dims.retain(|&d| d as i64 > 0);
     match elements(&dims) {
         Some(n) if n <= LARGEST_SHAPE => Ok(()),
-        _ => Err(format!(
-            "its input or output `{name}` is declared as {}, larger than any photo's",
-            sides(&dims)
-        )),
+        _ => Err(OnnxError::Declared { name, dims }),
     }
 }
 
 /// The messages in one field.
-fn within(bytes: &[u8], number: u64) -> Result<Vec<&[u8]>, String> {
+fn within(bytes: &[u8], number: u64) -> Result<Vec<&[u8]>, WireError> {
     fields(bytes)
         .filter(|f| f.as_ref().is_ok_and(|f| f.number == number) || f.is_err())
         .map(|f| f.map(|f| f.value.bytes()))

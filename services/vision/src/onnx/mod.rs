@@ -8,7 +8,9 @@ mod runtime;
 mod wire;
 
 pub(crate) use inspect::inspect;
+pub use inspect::{ModelFileError, OnnxError};
 pub(crate) use model::{NetworkDevice, NetworkModel, NetworkOutput, Options, TensorSpec};
 pub(crate) use network::Network;
 pub(crate) use runtime::MEMORY_MIB;
 pub use runtime::Runtime;
+pub use wire::WireError;

@@ -2,7 +2,6 @@
 
 use super::{Runtime, inspect};
 use crate::VisionError;
-use ort::session::builder::SessionBuilder;
 use ort::session::{RunOptions, Session, SessionInputValue};
 use ort::value::{Outlet, TensorElementType};
 use std::path::Path;
@@ -79,39 +78,33 @@ impl NetworkModel {
     pub fn load(runtime: &Runtime, path: &Path, options: Options) -> Result<NetworkModel, VisionError> {
         let name = path.display().to_string();
         let wrong = |what: String| VisionError::Model(format!("{name}: {what}"));
-        let file = inspect(path).map_err(wrong)?;
-        let build = || -> Result<Session, String> {
-            let text = |e: ort::Error<SessionBuilder>| e.to_string();
-            let mut builder = Session::builder(&runtime.environment)
-                .map_err(|e| e.to_string())?
-                .with_intra_threads(options.threads as usize)
-                .map_err(text)?
-                .with_inter_threads(1)
-                .map_err(text)?
-                .with_deterministic_compute(true)
-                .map_err(text)?
-                .with_env_allocators()
-                .map_err(text)?
-                // Errors come back as text; the runtime need not print them as well.
-                .with_log_level(ort::logging::LogLevel::Fatal)
-                .map_err(text)?;
+        let file = inspect(path)
+            .map_err(|reason| VisionError::File { file: path.to_owned(), reason: Box::new(reason) })?;
+        let build = || -> ort::Result<Session> {
+            let mut builder = Session::builder(&runtime.environment)?
+                .with_intra_threads(options.threads as usize)?
+                .with_inter_threads(1)?
+                .with_deterministic_compute(true)?
+                .with_env_allocators()?
+                // Errors come back as values; the runtime need not print them as well.
+                .with_log_level(ort::logging::LogLevel::Fatal)?;
             if options.device == NetworkDevice::Cuda {
                 let cuda = ort::ep::CUDA::default()
                     .with_memory_limit(options.memory_mib as usize * (1 << 20))
                     .with_conv_algorithm_search(ort::ep::cuda::ConvAlgorithmSearch::Heuristic);
-                builder =
-                    builder.with_execution_providers([cuda.build().error_on_failure()]).map_err(text)?;
+                builder = builder.with_execution_providers([cuda.build().error_on_failure()])?;
             }
             // Weights in other files are read from beside the file, and not from the working directory.
-            let session = match file.beside {
+            match file.beside {
                 true => builder.commit_from_file(path),
                 false => builder.commit_from_memory(&file.bytes),
-            };
-            session.map_err(|e| e.to_string())
+            }
         };
         let session = build().map_err(|e| match options.device {
             NetworkDevice::Cuda => wrong(format!("cannot be loaded on CUDA: {e}")),
-            NetworkDevice::Cpu => wrong(format!("is no network that ONNX Runtime can load: {}", plain(&e))),
+            NetworkDevice::Cpu => {
+                wrong(format!("is no network that ONNX Runtime can load: {}", plain(&e.to_string())))
+            }
         })?;
         Ok(NetworkModel {
             inputs: session.inputs().iter().map(TensorSpec::of).collect(),

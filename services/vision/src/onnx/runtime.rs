@@ -41,7 +41,7 @@ impl Runtime {
                     tracing::info!(library = %library.display(), "ONNX Runtime loaded");
                     return Ok(loaded.insert(Runtime { environment, library }).clone());
                 }
-                Err(reason) => refused.push(reason),
+                Err(error) => refused.push(error.to_string()),
             }
         }
         let tried = if refused.is_empty() { "none was found".to_owned() } else { refused.join("; ") };
@@ -63,13 +63,28 @@ impl Runtime {
     }
 }
 
+/// Why a library cannot be used as ONNX Runtime.
+#[derive(Debug, thiserror::Error)]
+enum LibraryError {
+    /// It cannot be loaded, or it is too old.
+    #[error("{0}")]
+    Load(ort::LoadDynamicError),
+    #[error("{} does not start: {reason}", library.display())]
+    Start { library: PathBuf, reason: ort::Error },
+    #[error("{} takes no limit of memory: {reason}", library.display())]
+    Memory { library: PathBuf, reason: ort::Error },
+    /// It made its binding panic.
+    #[error("{} is not a usable ONNX Runtime", .0.display())]
+    Unusable(PathBuf),
+}
+
 /// Registers one allocator with a limit; networks use it instead of unlimited ones of their own. An allocation over the limit
 /// is refused before its memory is touched.
-fn limit_memory(environment: &Environment, bytes: usize) -> Result<(), String> {
+fn limit_memory(environment: &Environment, bytes: usize) -> ort::Result<()> {
     let api = ort::api();
-    let failed = |status: ort::sys::OrtStatusPtr| -> Result<(), String> {
+    let failed = |status: ort::sys::OrtStatusPtr| {
         // SAFETY: the status comes from the call just made and is handed over.
-        unsafe { ort::Error::result_from_status(status) }.map_err(|e| e.to_string())
+        unsafe { ort::Error::result_from_status(status) }
     };
     let (mut info, mut arena) = (std::ptr::null_mut(), std::ptr::null_mut());
     // As much as is asked for and no more, the runtime's usual chunks otherwise.
@@ -95,22 +110,22 @@ fn limit_memory(environment: &Environment, bytes: usize) -> Result<(), String> {
     }
 }
 
-/// Loads one library. Every failure, a panic included, becomes a message.
-fn load(library: &Path, memory: usize) -> Result<Environment, String> {
-    let attempt = || -> Result<Environment, String> {
-        let builder = ort::init_from(library).map_err(|e| e.to_string())?;
+/// Loads one library. Every failure, a panic included, becomes an error.
+fn load(library: &Path, memory: usize) -> Result<Environment, LibraryError> {
+    let named = || library.to_owned();
+    let attempt = || -> Result<Environment, LibraryError> {
+        let builder = ort::init_from(library).map_err(LibraryError::Load)?;
         let environment = builder
             .with_name("segwild")
             .with_telemetry(false)
             .build()
-            .map_err(|e| format!("{} does not start: {e}", library.display()))?;
+            .map_err(|reason| LibraryError::Start { library: named(), reason })?;
         limit_memory(&environment, memory)
-            .map_err(|e| format!("{} takes no limit of memory: {e}", library.display()))?;
+            .map_err(|reason| LibraryError::Memory { library: named(), reason })?;
         Ok(environment)
     };
     // ort asserts a few things about the library instead of returning an error.
-    std::panic::catch_unwind(attempt)
-        .unwrap_or_else(|_| Err(format!("{} is not a usable ONNX Runtime", library.display())))
+    std::panic::catch_unwind(attempt).unwrap_or_else(|_| Err(LibraryError::Unusable(named())))
 }
 
 /// Library files to try, best first.

@@ -1,5 +1,27 @@
 //! A reader of protobuf's wire format: as much of it as walking through an ONNX file needs.
 
+/// Why bytes are no protobuf message.
+#[derive(Debug, thiserror::Error)]
+pub enum WireError {
+    /// A field has a wire type that protobuf does not use any more, or never did.
+    #[error("it holds a field of kind {0}, which no network has")]
+    Kind(u64),
+    /// A field has the number 0.
+    #[error("it holds a field without a number")]
+    NoNumber,
+    /// A field is longer than the rest of the bytes.
+    #[error("it ends too early: {announced} bytes are announced where {left} are left")]
+    CutShort {
+        /// Bytes that the field is to have.
+        announced: u64,
+        /// Bytes that are left for it.
+        left: usize,
+    },
+    /// A variable-length number does not end within its ten bytes, or within the bytes that are left.
+    #[error("it ends too early, or holds a number of more than 64 bits")]
+    Number,
+}
+
 /// One field of a message.
 pub(super) struct WireField<'a> {
     pub number: u64,
@@ -25,7 +47,7 @@ impl<'a> WireValue<'a> {
     }
 
     /// The numbers of a repeated field: one, or several packed.
-    pub fn numbers(&self) -> Result<Vec<u64>, String> {
+    pub fn numbers(&self) -> Result<Vec<u64>, WireError> {
         match self {
             WireValue::Number(n) => Ok(vec![*n]),
             WireValue::Bytes(bytes) => {
@@ -40,7 +62,7 @@ impl<'a> WireValue<'a> {
 }
 
 /// The fields of a message in order. An error ends them.
-pub(super) fn fields(mut rest: &[u8]) -> impl Iterator<Item = Result<WireField<'_>, String>> {
+pub(super) fn fields(mut rest: &[u8]) -> impl Iterator<Item = Result<WireField<'_>, WireError>> {
     std::iter::from_fn(move || {
         if rest.is_empty() {
             return None;
@@ -53,7 +75,7 @@ pub(super) fn fields(mut rest: &[u8]) -> impl Iterator<Item = Result<WireField<'
     })
 }
 
-fn next<'a>(rest: &mut &'a [u8]) -> Result<WireField<'a>, String> {
+fn next<'a>(rest: &mut &'a [u8]) -> Result<WireField<'a>, WireError> {
     let tag = varint(rest)?;
     let value = match tag & 7 {
         0 => WireValue::Number(varint(rest)?),
@@ -63,25 +85,25 @@ fn next<'a>(rest: &mut &'a [u8]) -> Result<WireField<'a>, String> {
             WireValue::Bytes(take(rest, length)?)
         }
         5 => WireValue::Bytes(take(rest, 4)?),
-        kind => return Err(format!("it holds a field of kind {kind}, which no network has")),
+        kind => return Err(WireError::Kind(kind)),
     };
     match tag >> 3 {
-        0 => Err("it holds a field without a number".into()),
+        0 => Err(WireError::NoNumber),
         number => Ok(WireField { number, value }),
     }
 }
 
-fn take<'a>(rest: &mut &'a [u8], length: u64) -> Result<&'a [u8], String> {
+fn take<'a>(rest: &mut &'a [u8], length: u64) -> Result<&'a [u8], WireError> {
     match usize::try_from(length).ok().and_then(|n| rest.split_at_checked(n)) {
         Some((taken, left)) => {
             *rest = left;
             Ok(taken)
         }
-        None => Err(format!("it ends too early: {length} bytes are announced where {} are left", rest.len())),
+        None => Err(WireError::CutShort { announced: length, left: rest.len() }),
     }
 }
 
-fn varint(rest: &mut &[u8]) -> Result<u64, String> {
+fn varint(rest: &mut &[u8]) -> Result<u64, WireError> {
     let mut value = 0u64;
     for (i, &byte) in rest.iter().take(10).enumerate() {
         value |= u64::from(byte & 127).checked_shl(7 * i as u32).unwrap_or(0);
@@ -90,5 +112,5 @@ fn varint(rest: &mut &[u8]) -> Result<u64, String> {
             return Ok(value);
         }
     }
-    Err("it ends too early, or holds a number of more than 64 bits".into())
+    Err(WireError::Number)
 }
