@@ -7,8 +7,8 @@ use crate::{
 use segwild_flow::{Actor, ActorFailure, Cache, Context, Key, Message, Origin, Quarantined, Sender, fault};
 use segwild_objective::Engine;
 use segwild_raster::ProjectOptions;
-use segwild_scene::{Embedding, Image, Mask, MaskSet, PhotoStore, Scene, Splats};
-use segwild_vision::Embedder;
+use segwild_scene::{Embedding, Image, Mask, MaskSet, PhotoStore, Scene, SceneError, Splats};
+use segwild_vision::{Embedder, VisionError};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Instant;
@@ -109,13 +109,30 @@ pub struct FeatureActor<O: Message> {
     pub out: Sender<O>,
 }
 
+/// Why a photo cannot be embedded.
+#[derive(Debug, thiserror::Error)]
+pub enum EmbedError {
+    /// It cannot be read.
+    #[error(transparent)]
+    Photo(#[from] SceneError),
+    /// The model refuses it.
+    #[error("photo {name}: {reason}")]
+    Model {
+        /// Name of the photo.
+        name: String,
+        /// The model's error.
+        reason: VisionError,
+    },
+}
+
 /// Embeds a photo.
 ///
 /// # Errors
-/// A sentence, when the photo cannot be read or the model refuses.
-pub fn describe(embedder: &dyn Embedder, photos: &PhotoStore, view: usize) -> Result<Embedding, String> {
-    let photo = photos.read(view).map_err(|e| e.to_string())?;
-    embedder.embed(&photo.image).map_err(|e| format!("photo {}: {e}", photos.scene().views[view].name))
+/// The photo cannot be read, or the model refuses.
+pub fn describe(embedder: &dyn Embedder, photos: &PhotoStore, view: usize) -> Result<Embedding, EmbedError> {
+    let photo = photos.read(view)?;
+    let refused = |reason| EmbedError::Model { name: photos.scene().views[view].name.clone(), reason };
+    embedder.embed(&photo.image).map_err(refused)
 }
 
 /// Targets, made from the field's inputs when they are needed.
@@ -168,9 +185,8 @@ impl TargetSource for InputTargets<'_> {
 impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
     fn embed(&self, view: usize, key: &Key) -> Result<Option<f64>, ActorFailure> {
         let began = Instant::now();
-        let (_, origin) = self.cache.get_or_make(key, EMBEDDING, || -> Result<Embedding, EmbedFailure> {
-            describe(&*self.embedder, &self.photos, view).map_err(EmbedFailure)
-        })?;
+        let make = || describe(&*self.embedder, &self.photos, view);
+        let (_, origin) = self.cache.get_or_make(key, EMBEDDING, make)?;
         Ok((origin == Origin::Made).then(|| began.elapsed().as_secs_f64()))
     }
 
@@ -237,11 +253,6 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
         Ok(field)
     }
 }
-
-/// A sentence that says why a photo cannot be embedded.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-struct EmbedFailure(String);
 
 impl<O: Message + From<FeatureOutcome>> Actor for FeatureActor<O> {
     type Message = FeatureTask;

@@ -16,7 +16,7 @@ mod refine;
 mod settings;
 mod target;
 
-pub use actor::{EMBEDDING, FeatureActor, FeatureOutcome, FeatureTask, FieldInputs, describe};
+pub use actor::{EMBEDDING, EmbedError, FeatureActor, FeatureOutcome, FeatureTask, FieldInputs, describe};
 pub use colours::FeatureColours;
 pub use error::FeatureError;
 pub use field::FeatureField;

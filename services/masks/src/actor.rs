@@ -1,9 +1,9 @@
 //! Actor that finds skies and makes masks, cached per view.
 
-use crate::{MaskSettings, MaskSource, generate, sasm};
+use crate::{MaskError, MaskSettings, MaskSource, generate, sasm};
 use segwild_flow::{Actor, ActorFailure, Cache, Context, Key, Message, Origin, Quarantined, Sender, fault};
-use segwild_scene::{Image, LoadedPhoto, Mask, MaskSet, PhotoStore};
-use segwild_vision::{MaskProposer, SkyDetector};
+use segwild_scene::{Image, LoadedPhoto, Mask, MaskSet, PhotoStore, ReaderError, SceneError};
+use segwild_vision::{MaskProposer, SkyDetector, VisionError};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -64,10 +64,7 @@ pub trait Snapshot: Send + Sync {
     fn means(&self) -> &[[f32; 3]];
 
     /// Renders the scene from a photo's camera: planes of RGB in [0, 1].
-    ///
-    /// # Errors
-    /// A sentence, when it cannot be rendered.
-    fn render(&self, view: usize) -> Result<Image, String>;
+    fn render(&self, view: usize) -> Result<Image, ReaderError>;
 }
 
 /// What the actor sends to its consumer.
@@ -116,14 +113,44 @@ pub struct MaskActor<O: Message> {
     pub out: Sender<O>,
 }
 
-/// A sentence that says why there is no sky, or why there are no masks.
+/// Why there is no sky, or why there are no masks.
 #[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub struct MaskFailure(String);
+pub enum MaskFailure {
+    /// The photo cannot be read.
+    #[error(transparent)]
+    Photo(#[from] SceneError),
+    /// The scene cannot be rendered from the photo's camera.
+    #[error("photo {name}: its view cannot be rendered: {reason}")]
+    Render {
+        /// Name of the photo.
+        name: String,
+        /// The renderer's error.
+        reason: ReaderError,
+    },
+    /// The sky detector refuses.
+    #[error("photo {name}: {reason}")]
+    Sky {
+        /// Name of the photo.
+        name: String,
+        /// The detector's error.
+        reason: VisionError,
+    },
+    /// Prompts or masks cannot be made.
+    #[error("photo {name}: {reason}")]
+    Masks {
+        /// Name of the photo.
+        name: String,
+        /// What is wrong.
+        reason: MaskError,
+    },
+    /// A fault was armed here.
+    #[error("{0}")]
+    Fault(std::io::Error),
+}
 
 impl MaskMaker {
     fn photo(&self, view: usize) -> Result<Arc<LoadedPhoto>, MaskFailure> {
-        self.photos.read(view).map_err(|e| MaskFailure(e.to_string()))
+        Ok(self.photos.read(view)?)
     }
 
     /// Makes the masks of a view. Without a `render`, the snapshot is rendered here if [`MaskSource::Render`] is set.
@@ -137,15 +164,15 @@ impl MaskMaker {
         snapshot: &dyn Snapshot,
         sky: Option<&Mask>,
     ) -> Result<MaskSet, MaskFailure> {
-        fault::point("masks.make").map_err(|e| MaskFailure(e.to_string()))?;
+        fault::point("masks.make").map_err(MaskFailure::Fault)?;
         let posed = &self.photos.scene().views[view];
+        let name = || posed.name.clone();
         let (rendered, photo);
         let image = match (self.settings.mask_source, render) {
             (MaskSource::Render, Some(render)) => render,
             (MaskSource::Render, None) => {
-                rendered = snapshot.render(view).map_err(|e| {
-                    MaskFailure(format!("photo {}: its view cannot be rendered: {e}", posed.name))
-                })?;
+                rendered =
+                    snapshot.render(view).map_err(|reason| MaskFailure::Render { name: name(), reason })?;
                 &rendered
             }
             (MaskSource::Photo, _) => {
@@ -155,10 +182,10 @@ impl MaskMaker {
         };
         let camera = posed.camera.resized(image.width as u32, image.height as u32);
         let depth = self.depths.relative(sasm::scene_view_depth(self.photos.scene(), posed));
-        let words = |e: crate::MaskError| MaskFailure(format!("photo {}: {e}", posed.name));
+        let failed = |reason| MaskFailure::Masks { name: name(), reason };
         let plan =
-            sasm::plan(snapshot.means(), &camera, &posed.pose, depth, sky, &self.settings).map_err(words)?;
-        Ok(generate(&*self.proposer, image, &plan.points, sky, &self.settings).map_err(words)?.set)
+            sasm::plan(snapshot.means(), &camera, &posed.pose, depth, sky, &self.settings).map_err(failed)?;
+        Ok(generate(&*self.proposer, image, &plan.points, sky, &self.settings).map_err(failed)?.set)
     }
 }
 
@@ -185,10 +212,10 @@ impl<O: Message + From<MaskOutcome>> Actor for MaskActor<O> {
             MaskTask::Sky { view, key } => {
                 let (sky, origin) = self.cache.get_or_make(&key, SKY, || {
                     let photo = self.maker.photo(view)?;
-                    let image = &photo.image;
-                    let name = &self.maker.photos.scene().views[view].name;
-                    let seen = self.maker.photos.scene().points_in(view, image.width, image.height);
-                    self.sky.sky_above(image, &seen).map_err(|e| MaskFailure(format!("photo {name}: {e}")))
+                    let (scene, image) = (self.maker.photos.scene(), &photo.image);
+                    let seen = scene.points_in(view, image.width, image.height);
+                    let failed = |reason| MaskFailure::Sky { name: scene.views[view].name.clone(), reason };
+                    self.sky.sky_above(image, &seen).map_err(failed)
                 })?;
                 MaskOutcome::Sky { view, sky: Ok(Arc::new(sky)), seconds: took(origin) }
             }

@@ -3,7 +3,8 @@
 use crate::decode::{self, ImageHead, pixels_of};
 use crate::draft::{Draft, DraftLensError, DraftPhoto, DraftPoint, DraftPose, PoseError};
 use crate::frame::{Placed, Placing};
-use crate::locate::{LocateError, find, folder_setting, locate, setting, unheld};
+use crate::locate::{find, folder_setting, locate, setting, unheld};
+use crate::photo_files::LocateError;
 use crate::mask_files::MaskFiles;
 use crate::names::is_inside;
 use crate::split::{Split, SplitPart};

@@ -9,13 +9,13 @@ use crate::{
 use segwild_flow::{Actor, ActorFailure, Context, Message, Phase, Sender, Stopper};
 use segwild_objective::Engine;
 use segwild_raster::ProjectOptions;
-use segwild_scene::{Image, Mask, Prompts, ScoredMask, Splats};
+use segwild_scene::{Image, Mask, Prompts, ReaderError, ScoredMask, Splats};
 use segwild_vision::{PromptSegmenter, Prompted};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Reads the photo of a view at the size in which prompts are given; the error is a sentence that says why it cannot.
-pub type PhotoReader = dyn Fn(usize) -> Result<Image, String> + Send + Sync;
+/// Reads the photo of a view at the size in which prompts are given.
+pub type PhotoReader = dyn Fn(usize) -> Result<Image, ReaderError> + Send + Sync;
 
 /// Prompts on one or several photos, and where the answer goes.
 pub struct SegmentTask {
@@ -130,7 +130,7 @@ impl SegmentActor {
             reason,
         };
         let read =
-            |(view, _): &(usize, Prompts)| (self.photos)(*view).map_err(|reason| provider(*view, reason));
+            |(view, _): &(usize, Prompts)| (self.photos)(*view).map_err(|e| provider(*view, e.to_string()));
         let photos: Vec<Image> = task.prompts.iter().map(read).collect::<Result<_, _>>()?;
         let held = self.engine.hold(&self.splats).map_err(SegmentError::raster("the scene"))?;
         let blank = Request {

@@ -5,7 +5,7 @@
 //! falls on all of them. CPU time is read from Linux's /proc.
 
 use segwild_raster::{Channels, CpuEngine, Rasterizer};
-use segwild_scene::{Scene, SceneSettings};
+use segwild_scene::{Scene, SceneError, SceneSettings};
 use segwild_trainer::{AppearanceModel, TrainPhoto, TrainSettings, Trainer, render_lit};
 use std::error::Error;
 use std::path::PathBuf;
@@ -33,8 +33,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let scene = Arc::new(Scene::open(&path, &open)?);
     let (of, size) = (scene.clone(), open.size);
-    let photos = Arc::new(move |i: usize| -> Result<TrainPhoto, String> {
-        let photo = of.views[i].load(size).map_err(|e| e.to_string())?;
+    let photos = Arc::new(move |i: usize| -> Result<TrainPhoto, SceneError> {
+        let photo = of.views[i].load(size)?;
         Ok(TrainPhoto { image: photo.image, valid: photo.valid, sky: None, transients: None })
     });
     let engine = Arc::new(CpuEngine::new());

@@ -152,6 +152,7 @@ mod tests {
     use crate::TrainPhoto;
     use glam::Vec3;
     use segwild_scene::{Image, Observation, Photo, Point, SceneFrame, Seal, View};
+    use std::convert::Infallible;
     use std::sync::Arc;
 
     const SIZE: (u32, u32) = (64, 48);
@@ -224,7 +225,7 @@ mod tests {
     fn coloured_points_are_left_alone_and_no_photo_is_read() {
         let points = (0..20).map(|i| point(Vec3::ZERO, [0.04 * i as f32; 3], &[2])).collect();
         let scene = scene(points, 3);
-        let refuse = |_: usize| -> Result<TrainPhoto, String> { panic!("no photo is needed") };
+        let refuse = |_: usize| -> Result<TrainPhoto, Infallible> { panic!("no photo is needed") };
         let mut photos = TrainPhotoCache::new(Arc::new(refuse), vec![String::new(); 3], 1 << 20);
         assert!(matches!(coloured(&scene, &mut photos, &|| false), Ok(Cow::Borrowed(_))));
     }

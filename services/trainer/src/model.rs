@@ -59,8 +59,8 @@ impl Model {
     /// Says what does not fit.
     pub fn check(&self) -> Result<(), TrainError> {
         let damaged = |what: &str| Err(TrainError::Checkpoint(format!("the model is damaged: {what}")));
-        if let Err(what) = splats_fit(&self.splats) {
-            return damaged(&what);
+        if let Err(error) = splats_fit(&self.splats) {
+            return damaged(&error.to_string());
         }
         let views = self.names.len();
         let sound = |b: &Background| (1..=BASES).contains(&b.coefficients.len());

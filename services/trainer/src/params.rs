@@ -276,7 +276,7 @@ impl Params {
     }
 
     /// Whether every array has one entry per splat; the error names one that has not.
-    pub fn consistent(&self) -> Result<(), String> {
+    pub fn consistent(&self) -> Result<(), SplatArrayError> {
         splats_fit(&self.splats)?;
         let n = self.splats.len();
         let k = self.splats.sh_stride();
@@ -293,18 +293,34 @@ impl Params {
     }
 }
 
-fn all_fit(splats: usize, arrays: &[(&str, bool)]) -> Result<(), String> {
+/// Why the arrays of splats do not fit each other.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SplatArrayError {
+    /// An array has another length than there are splats.
+    #[error("{splats} splats, but another number of {array}")]
+    Length {
+        /// Number of splats.
+        splats: usize,
+        /// The array.
+        array: &'static str,
+    },
+    /// Spherical harmonics go to degree 3.
+    #[error("spherical harmonics of degree {0}")]
+    Degree(u32),
+}
+
+fn all_fit(splats: usize, arrays: &[(&'static str, bool)]) -> Result<(), SplatArrayError> {
     match arrays.iter().find(|(_, fits)| !fits) {
-        Some((name, _)) => Err(format!("{splats} splats, but another number of {name}")),
+        Some((array, _)) => Err(SplatArrayError::Length { splats, array }),
         None => Ok(()),
     }
 }
 
 /// Whether splats that come out of a file have one entry each in every array; the error names one that has not.
-pub(crate) fn splats_fit(s: &Splats) -> Result<(), String> {
+pub(crate) fn splats_fit(s: &Splats) -> Result<(), SplatArrayError> {
     let n = s.len();
     if s.sh_degree > 3 {
-        return Err(format!("spherical harmonics of degree {}", s.sh_degree));
+        return Err(SplatArrayError::Degree(s.sh_degree));
     }
     all_fit(
         n,

@@ -2,7 +2,7 @@
 
 use crate::TrainError;
 use segwild_objective::compare::PhotoTarget;
-use segwild_scene::{Camera, Image, LoadedPhoto, Mask};
+use segwild_scene::{Camera, Image, LoadedPhoto, Mask, ReaderError};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -36,8 +36,8 @@ impl TrainPhoto {
 
 /// Where photos come from. A call may block until the photo (and its sky) is there.
 pub trait Photos: Send + Sync {
-    /// The photo of view `view`; the error is a sentence that says why it cannot be used.
-    fn photo(&self, view: usize) -> Result<TrainPhoto, String>;
+    /// The photo of view `view`; the error says why it cannot be used.
+    fn photo(&self, view: usize) -> Result<TrainPhoto, ReaderError>;
 
     /// Why a view's photo is known not to be usable, before it is loaded.
     fn refused(&self, _view: usize) -> Option<String> {
@@ -54,8 +54,10 @@ pub struct Sifted<P> {
 }
 
 impl<P: Photos> Photos for Sifted<P> {
-    fn photo(&self, view: usize) -> Result<TrainPhoto, String> {
-        self.refused(view).map_or(Ok(()), Err)?;
+    fn photo(&self, view: usize) -> Result<TrainPhoto, ReaderError> {
+        if let Some(reason) = self.refused(view) {
+            return Err(reason.into());
+        }
         self.photos.photo(view)
     }
 
@@ -64,12 +66,13 @@ impl<P: Photos> Photos for Sifted<P> {
     }
 }
 
-impl<F> Photos for F
+impl<F, E> Photos for F
 where
-    F: Fn(usize) -> Result<TrainPhoto, String> + Send + Sync,
+    F: Fn(usize) -> Result<TrainPhoto, E> + Send + Sync,
+    E: Into<ReaderError>,
 {
-    fn photo(&self, view: usize) -> Result<TrainPhoto, String> {
-        self(view)
+    fn photo(&self, view: usize) -> Result<TrainPhoto, ReaderError> {
+        self(view).map_err(E::into)
     }
 }
 
@@ -342,8 +345,10 @@ impl TrainPhotoCache {
             return Ok(stored.clone());
         }
         let name = &self.names[view];
-        let photo =
-            self.source.photo(view).map_err(|reason| TrainError::Photo { name: name.clone(), reason })?;
+        let photo = self
+            .source
+            .photo(view)
+            .map_err(|e| TrainError::Photo { name: name.clone(), reason: e.to_string() })?;
         let stored = Arc::new(Stored::pack(name, &photo)?);
         self.bytes += stored.bytes();
         self.evict();
@@ -367,7 +372,7 @@ mod tests {
         let counter = loads.clone();
         let source = Arc::new(move |i: usize| {
             counter.fetch_add(1, Ordering::Relaxed);
-            Ok(photo(i as f32 / 10.0))
+            Ok::<_, std::convert::Infallible>(photo(i as f32 / 10.0))
         });
         let names = (0..4).map(|i| i.to_string()).collect();
         let one = Stored::pack("x", &photo(0.1)).unwrap().bytes();

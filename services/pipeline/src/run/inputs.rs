@@ -13,7 +13,7 @@ use segwild_features::{EMBEDDING, FieldInputs, describe};
 use segwild_flow::{ActorFailure, Context};
 use segwild_masks::{MaskMaker, MaskSource, Snapshot};
 use segwild_objective::Engine;
-use segwild_scene::{Embedding, Image, Mask, MaskSet, PhotoStore, Scene};
+use segwild_scene::{Embedding, Image, Mask, MaskSet, PhotoStore, ReaderError, Scene};
 use segwild_trainer::{Model, TrainPhoto, render_view};
 use segwild_vision::{Embedder, PromptSegmenter};
 use std::sync::Arc;
@@ -40,10 +40,10 @@ impl Snapshot for SnapshotRenders {
         &self.model.splats.means
     }
 
-    fn render(&self, view: usize) -> Result<Image, String> {
+    fn render(&self, view: usize) -> Result<Image, ReaderError> {
         let posed = &self.scene.views[view];
         let camera = posed.camera.scaled_to(self.size);
-        render_view(&self.model, &*self.engine, &camera, &posed.pose, None).map_err(|e| e.to_string())
+        Ok(render_view(&self.model, &*self.engine, &camera, &posed.pose, None)?)
     }
 }
 

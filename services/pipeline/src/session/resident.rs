@@ -15,7 +15,7 @@ use crate::{
 };
 use segwild_flow::{ActorOptions, Limits, Phase, Sender, Stopper, System, SystemOptions, mailbox};
 use segwild_objective::Engine;
-use segwild_scene::{PhotoStore, Prompts, Scene};
+use segwild_scene::{PhotoStore, Prompts, ReaderError, Scene};
 use segwild_segmenter::scene_tree::{GroupCandidate, SceneTree};
 use segwild_segmenter::{
     PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask, SplatFeatures,
@@ -131,7 +131,7 @@ impl Session {
         let store = photos.clone();
         let read = move |view: usize| match store.read(view) {
             Ok(photo) => Ok(photo.image.clone()),
-            Err(error) => Err(error.to_string()),
+            Err(error) => Err(ReaderError::from(error)),
         };
         let read = Arc::new(read);
         let system = System::new(SystemOptions {

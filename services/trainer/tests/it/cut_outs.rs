@@ -2,7 +2,7 @@
 
 use crate::wall;
 use segwild_raster::{Channels, ProjectOptions};
-use segwild_scene::{LoadedPhoto, Point};
+use segwild_scene::{LoadedPhoto, Point, ReaderError};
 use segwild_trainer::{Photos, Sifted, TrainPhoto, TrainSettings, Trainer};
 use std::sync::Arc;
 
@@ -28,7 +28,7 @@ fn around_a_cut_out(empty: bool) -> (f32, f32) {
         })
         .collect();
     let photos: Arc<dyn Photos> =
-        Arc::new(move |i: usize| -> Result<TrainPhoto, String> { Ok(all[i].clone()) });
+        Arc::new(move |i: usize| -> Result<TrainPhoto, ReaderError> { Ok(all[i].clone()) });
     let settings = TrainSettings { splats: 1500, ..wall::settings(300) };
     let model = Trainer::new(wall::engine(), &scene, photos, settings).unwrap().finish().unwrap();
     let view = scene.views.last().unwrap();
@@ -58,7 +58,7 @@ fn a_photo_that_is_known_to_be_unusable_is_left_out_from_the_start() {
     let refused = vec![None, Some("its masks leave nothing of it".to_owned()), None, None, None, None];
     struct SharedPhotos(Arc<dyn Photos>);
     impl Photos for SharedPhotos {
-        fn photo(&self, view: usize) -> Result<TrainPhoto, String> {
+        fn photo(&self, view: usize) -> Result<TrainPhoto, ReaderError> {
             self.0.photo(view)
         }
     }

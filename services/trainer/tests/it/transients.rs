@@ -2,7 +2,7 @@
 
 use crate::wall::*;
 use segwild_objective::AnyAppearance;
-use segwild_scene::{Image, Mask, Scene};
+use segwild_scene::{Image, Mask, ReaderError, Scene};
 use segwild_trainer::{
     AppearanceModel, Photos, TrainError, TrainPhoto, TrainSettings, Trainer, choose_appearance, render_view,
 };
@@ -148,7 +148,7 @@ fn trainings_that_never_saw_a_photo_find_its_transient_and_none_where_nobody_sta
     // A photo with a person's transient mask gets no initial transients.
     let corrected = {
         let photos = stood_before.clone();
-        move |i: usize| -> Result<TrainPhoto, String> {
+        move |i: usize| -> Result<TrainPhoto, ReaderError> {
             let transients = Some(Mask::from_fn(W, H, |x, y| large(i, x, y)));
             Ok(TrainPhoto { transients, ..photos.photo(i)? })
         }
@@ -203,8 +203,7 @@ fn the_search_for_initial_transients_can_be_stopped_and_is_left_out_where_few_ph
     let stopped = Trainer::prepared(engine(), &scene, all.clone(), settings.clone(), &stopping);
     assert!(matches!(stopped, Err(TrainError::Stopped)) && calls.get() == 41);
     // Every second photo is damaged: one of the two trainings has none.
-    let half =
-        move |i: usize| if i.is_multiple_of(2) { Err("it is damaged".to_owned()) } else { all.photo(i) };
+    let half = move |i: usize| if i.is_multiple_of(2) { Err("it is damaged".into()) } else { all.photo(i) };
     let trainer = Trainer::prepared(engine(), &scene, Arc::new(half), settings, &|| false).unwrap();
     assert!((0..scene.views.len()).all(|view| trainer.initial_transients(view).is_none()));
     trainer.finish().unwrap();

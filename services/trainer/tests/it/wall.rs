@@ -5,6 +5,7 @@ use segwild_objective::Engine;
 use segwild_raster::{Channels, CpuEngine, ProjectOptions, Rasterizer};
 use segwild_scene::{Camera, Image, Mask, Photo, Point, Pose, Scene, SceneFrame, Seal, Splats, View};
 use segwild_trainer::{AppearanceModel, Checkpoint, Model, Photos, TrainPhoto, TrainSettings, Trainer};
+use std::convert::Infallible;
 use std::sync::Arc;
 
 pub const W: u32 = 72;
@@ -118,7 +119,7 @@ pub fn photos(scene: &Scene, sky: bool, change: impl Fn(usize, &mut Image)) -> A
             TrainPhoto { image, valid: None, sky: sky.then_some(mask), transients: None }
         })
         .collect();
-    Arc::new(move |i: usize| Ok(all[i].clone()))
+    Arc::new(move |i: usize| Ok::<_, Infallible>(all[i].clone()))
 }
 
 pub fn settings(steps: u32) -> TrainSettings {
