@@ -4,9 +4,9 @@ use crate::decode::{self, ImageHead, pixels_of};
 use crate::draft::{Draft, DraftLensError, DraftPhoto, DraftPoint, DraftPose, PoseError};
 use crate::frame::{Placed, Placing};
 use crate::locate::{find, folder_setting, locate, setting, unheld};
-use crate::photo_files::LocateError;
 use crate::mask_files::MaskFiles;
 use crate::names::is_inside;
+use crate::photo_files::LocateError;
 use crate::split::{Split, SplitPart};
 use crate::{
     DARKEST, DecodeError, HoldOut, MaskFileError, Observation, Photo, PhotoError, Point, Pose, Reading,

@@ -11,7 +11,7 @@ use crate::lens::{CameraModel, Lens};
 use crate::names::{CAPITALS, Listing, READ, below, is_inside, is_photo, key, last_part, tidy};
 use crate::photo_files::{Claim, Claimed, LocateError, no_file, photo_folders, settle};
 use crate::split::{Split, SplitPart};
-use crate::{DecodeError, SceneError, draft};
+use crate::{DecodeError, SceneError, draft, text};
 use glam::{DMat3, DVec3};
 use json::{Intrinsics, Transforms, TransformsFrame};
 use rayon::prelude::*;

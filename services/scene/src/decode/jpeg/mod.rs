@@ -16,8 +16,8 @@ mod tests;
 pub(crate) use head::{Coding, JpegFrame, JpegHead, read};
 pub(crate) use scan::ScanResult;
 
-use block::{BlockSink, CoefficientBlock};
 use super::DecodeError;
+use block::{BlockSink, CoefficientBlock};
 use image::{DynamicImage, GrayImage, RgbImage};
 
 /// Looks for damage; `None` where the JPEG is coded in a way that is not known here.
