@@ -4,6 +4,10 @@
 //!   [`conformance`] is what any engine has to pass.
 //! - [`BatchManifest`]: the scenes of a batch, their settings, priorities and needs, and the machine's budget.
 //! - [`batch`]: runs a manifest's scenes side by side, each as a process of its own.
+//!
+//! It runs no stage by itself: each scene is a `segwild run` of its own, which resumes.
+//!
+//! Start reading at `engine.rs`, then `batch/mod.rs`.
 
 pub mod batch;
 mod clock;

@@ -4,6 +4,18 @@
 //! Embeddings are sampled ([`EmbeddingSamples`]), compressed ([`Pca`]) and become targets ([`ViewTarget`]); [`build`]
 //! lifts these onto the splats ([`Lifter`]) and refines them by the losses of [`segwild_objective::field`] to a
 //! [`FeatureField`].
+//!
+//! It neither trains splats nor makes masks: it reads both, and makes one vector per splat.
+//!
+//! ```
+//! use segwild_features::EmbeddingSamples;
+//!
+//! // Embeddings of one direction need one principal component.
+//! let mut samples = EmbeddingSamples::new(100, 1, 7);
+//! assert!(samples.is_empty());
+//! ```
+//!
+//! Start reading at `lift.rs`, then `refine.rs`.
 
 mod actor;
 mod bilinear;

@@ -7,6 +7,22 @@
 //! - [`FileError`]: which file, what was tried, why it failed, what to do.
 //! - [`name`]: what may be a file's name, and names of files that cannot collide.
 //! - [`stays_inside`]: whether everything in a folder stays in it, for folders that somebody else made.
+//!
+//! It knows no format and no folder of a run: what is written, and where, is its caller's.
+//!
+//! ```
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let folder = std::env::temp_dir().join(format!("segwild-files-{}", std::process::id()));
+//! std::fs::create_dir_all(&folder)?;
+//! let path = folder.join("note.txt");
+//! segwild_files::write_atomic(&path, b"whole or not at all")?;
+//! assert_eq!(segwild_files::read_plain(&path)?, b"whole or not at all");
+//! # std::fs::remove_dir_all(folder)?;
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! Start reading at `write.rs`.
 
 mod error;
 pub mod fault;

@@ -12,6 +12,24 @@
 //! - [`shortage`]: what the system says when it has no file descriptors or processes left.
 //! - [`codec`]: binary records with a header.
 //! - [`files`] and [`fault`]: the one writer of files, and faults on purpose, from the floor below.
+//!
+//! ```
+//! use segwild_flow::{Cache, Key};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! # let folder = std::env::temp_dir().join(format!("segwild-flow-{}", std::process::id()));
+//! let cache = Cache::open(&folder)?;
+//! // The key of an artefact is the hash of all that it is made from.
+//! let key = Key::of("masks").part("photo", b"its bytes").value("prompts", 32).finish();
+//! assert_eq!(cache.get(&key)?, None);
+//! cache.put(&key, b"the masks")?;
+//! assert_eq!(cache.get(&key)?.as_deref(), Some(&b"the masks"[..]));
+//! # std::fs::remove_dir_all(folder)?;
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! Start reading at `mailbox.rs`, then `actor.rs` and `system.rs`.
 
 pub mod actor;
 pub mod cache;

@@ -5,6 +5,19 @@
 //! - [`metrics`]: the view as Prometheus text; every name in one enum.
 //! - [`serve`]: `/metrics`, `/livez`, `/readyz`, `/api/v1/status` by HTTP; [`connections`]: how many, and for how long.
 //! - [`top`]: the view in a terminal.
+//!
+//! It changes nothing: everything is read from ledgers that others write.
+//!
+//! ```no_run
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use segwild_monitor::MonitorTarget;
+//! let view = MonitorTarget::at("runs/trevi".as_ref())?.view()?;
+//! println!("running: {}", view.is_running());
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! Start reading at `view/mod.rs`.
 
 pub mod connections;
 mod disk;

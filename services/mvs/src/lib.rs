@@ -7,6 +7,10 @@
 //! the depths of several photos agree. Transients drop out: each photo shows them elsewhere.
 //!
 //! Photos are compared by normalised cross-correlation, which does not depend on their brightness.
+//!
+//! It makes points, no meshes and no depth maps to keep.
+//!
+//! Start reading at [`points`], then `sweep.rs`.
 
 mod agree;
 mod frame;

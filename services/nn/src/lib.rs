@@ -6,6 +6,21 @@
 //! therefore updates one flat slice, a checkpoint stores it, and another engine needs only the slice and the list.
 //!
 //! Sums run in a fixed order, so that the result is the same whatever the number of threads.
+//!
+//! It is no framework: there are the layers that the appearance models need, and no graph is differentiated for you.
+//!
+//! ```
+//! use segwild_nn::{matmul, solve};
+//!
+//! // (1 2; 3 4) (5; 6), added to what is there.
+//! let mut product = [0.0; 2];
+//! matmul(&[1.0, 2.0, 3.0, 4.0], &[5.0, 6.0], 2, 2, 1, &mut product);
+//! assert_eq!(product, [17.0, 39.0]);
+//! let [[x], [y]] = solve([[2.0, 1.0], [1.0, 3.0]], [[4.0], [7.0]]);
+//! assert!((x - 1.0).abs() < 1e-12 && (y - 2.0).abs() < 1e-12);
+//! ```
+//!
+//! Start reading at `layer.rs` (a description and its weights), then `mlp.rs`.
 
 mod cholesky;
 mod conv;

@@ -8,6 +8,22 @@
 //! Camera frame: x right, y down, z forward; `x_cam = R x + t`; the centre of pixel (0, 0) is (0.5, 0.5).
 //! Quaternions are (w, x, y, z). A loaded scene is normalised (see [`Scene::frame`]): the cameras' mean is the
 //! origin and the scene extent is 1, so nothing depends on the units of the reconstruction.
+//!
+//! It holds no algorithm of training or selection, and decides nothing: it says what files mean.
+//!
+//! ```
+//! use segwild_scene::{Camera, Mask, Pose};
+//!
+//! let camera = Camera { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
+//! // A photo is seen at the size that a stage works at.
+//! assert_eq!(camera.scaled_to(32).width, 32);
+//! let ahead = Pose::IDENTITY.to_camera([0.0, 0.0, 2.0].into());
+//! assert_eq!(ahead.z, 2.0);
+//! let left = Mask::from_fn(64, 48, |x, _| x < 32);
+//! assert_eq!(left.count(), 32 * 48);
+//! ```
+//!
+//! Start reading at `view.rs` (what a photo is), then `open.rs` (how a scene is read).
 
 mod alpha;
 mod bytes;

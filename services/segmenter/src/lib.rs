@@ -4,6 +4,22 @@
 //! and to parts that nobody prompted; [`SpikeCut`] shortens the splats that stick out; [`SelectedObject`], [`visible_mask`]
 //! and [`amodal_mask`] are its results. Usable without the other actors: everything is a function of
 //! splats, cameras and masks.
+//!
+//! It has no 2D model: the masks of prompts come in, and a [`Refiner`] answers where it needs one more.
+//!
+//! ```
+//! use segwild_segmenter::FlowNetwork;
+//!
+//! // Two splats of different labels and a weak edge: the cut goes through the edge.
+//! let mut network = FlowNetwork::new(2);
+//! network.add_terminal(0, 9, 0);
+//! network.add_terminal(1, 0, 9);
+//! network.add_edge(0, 1, 2, 2);
+//! network.solve();
+//! assert!(network.in_source(0) && !network.in_source(1));
+//! ```
+//!
+//! Start reading at `select.rs`, then `label_fusion.rs`; single clicks start at `scene_tree/`.
 
 mod actor;
 mod components;

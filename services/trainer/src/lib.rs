@@ -3,6 +3,10 @@
 //! A [`Trainer`] turns a scene and its photos into a [`Model`], one photo per step: splats start at the
 //! reconstruction's points, Adam moves them, a density strategy adds and removes them, each photo has its
 //! appearance and its background, and pixels that keep contradicting the scene are left out (method, sections 2, 3, 9).
+//!
+//! It makes no masks and no features, and selects nothing. What it minimises is in [`segwild_objective`].
+//!
+//! Start reading at `trainer.rs`, then `step.rs`.
 
 mod actor;
 mod appearances;

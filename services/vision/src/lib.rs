@@ -1,5 +1,25 @@
 //! 2D models behind traits (docs/method.md, sections 4 and 5): the built-in provider, which needs no weights, and ONNX
 //! networks run by ort.
+//!
+//! It knows no scene in 3D: images, clicks and boxes go in, embeddings and masks come out.
+//!
+//! ```
+//! use segwild_scene::{Image, Prompts};
+//! use segwild_vision::{Builtin, PromptSegmenter};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! // A white square on black, 64 x 64, and a click on it.
+//! let square = |i: usize| (16..48).contains(&(i % 64)) && (16..48).contains(&(i / 64));
+//! let plane = (0..64 * 64).map(|i| if square(i) { 1.0 } else { 0.0 });
+//! let data: Vec<f32> = plane.clone().chain(plane.clone()).chain(plane).collect();
+//! let image = Image { width: 64, height: 64, channels: 3, data };
+//! let mask = Builtin::new().segment(&image, &Prompts::click(32.0, 32.0))?.mask;
+//! assert!(mask.at(32.0, 32.0) && !mask.at(4.0, 4.0));
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! Start reading at `provider.rs` (the traits), then `builtin/mod.rs`.
 
 mod builtin;
 mod contours;
