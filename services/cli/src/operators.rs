@@ -16,7 +16,7 @@ pub fn listen_args(command: Command) -> Command {
             .long("listen")
             .value_name("ADDR")
             .value_parser(value_parser!(SocketAddr))
-            .help("Serve /metrics, /livez, /readyz and /api/v1/status here, as in 127.0.0.1:9464"),
+            .help("Serve /metrics, /livez, /readyz, /api/v1/status here, as 127.0.0.1:9464"),
     )
 }
 

@@ -384,7 +384,7 @@ fn the_graph_of_the_stages_is_printed_without_a_scene() {
     );
     let dot = works(&["run", "--explain", "--graph", "dot"]);
     assert!(dot.starts_with("digraph run {\n") && dot.trim_end().ends_with('}'), "{dot}");
-    for (args, words) in [(&["run", "--graph"][..], "--explain"), (&["run"], "SCENE")] {
+    for (args, words) in [(&["run", "--graph"][..], "--explain"), (&["run"], "<scene>")] {
         let output = segwild(args);
         assert_eq!(output.status.code(), Some(2), "{args:?}");
         assert!(text(&output.stderr).contains(words), "{}", text(&output.stderr));

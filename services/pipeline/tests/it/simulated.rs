@@ -223,8 +223,8 @@ impl Answering {
         system.source("answers", ActorOptions::default(), move |context| {
             loop {
                 context.check()?;
-                if self.next() % 3 == 0 {
-                    std::thread::sleep(Duration::from_micros(self.next() % 1500));
+                if self.next().is_multiple_of(3) {
+                    context.sleep(Duration::from_micros(self.next() % 1500));
                 }
                 match self.take(began) {
                     Some((seen, outcome)) => {
@@ -233,7 +233,9 @@ impl Answering {
                     }
                     // The actors have ended: nothing more will come.
                     None if Arc::strong_count(&self.pool) == 1 => return Ok(()),
-                    None => std::thread::sleep(Duration::from_micros(200)),
+                    None => {
+                        context.sleep(Duration::from_micros(200));
+                    }
                 }
                 context.progress();
             }
