@@ -37,7 +37,7 @@ pub enum ManifestError {
         /// The scene.
         scene: String,
         /// What is wrong.
-        reason: SceneEntryError,
+        reason: Box<SceneEntryError>,
     },
 }
 

@@ -123,7 +123,7 @@ impl BatchManifest {
             let wrong = |reason: SceneEntryError| ManifestError::Scene {
                 file: file.to_path_buf(),
                 scene: name.clone(),
-                reason,
+                reason: Box::new(reason),
             };
             if let Err(why) = usable(&name) {
                 return Err(wrong(SceneEntryError::Name(why)));
