@@ -63,7 +63,7 @@ settings! {
     pub struct RunSettings("run", user: preset budget engine memory_budget threads) {
         /// How much time to spend. It sets the defaults of the other settings.
         preset: Preset = Preset::Standard,
-        /// Who decides steps, channels and appearance model. `fixed`: the settings. `auto`: the least that suffices,
+        /// Who decides steps, channels, appearance. `fixed`: the settings. `auto`: the least that suffices,
         /// found by short trainings before the start; where `steps` is 0 and photos agree, up to eight times the
         /// scene's own steps. What a flag or file sets stays as set.
         budget: RunBudget = RunBudget::Fixed,

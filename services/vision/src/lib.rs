@@ -14,7 +14,7 @@
 //! let data: Vec<f32> = plane.clone().chain(plane.clone()).chain(plane).collect();
 //! let image = Image { width: 64, height: 64, channels: 3, data };
 //! let mask = Builtin::new().segment(&image, &Prompts::click(32.0, 32.0))?.mask;
-//! assert!(mask.at(32.0, 32.0) && !mask.at(4.0, 4.0));
+//! assert!(mask.get(32, 32) && !mask.get(4, 4));
 //! # Ok(())
 //! # }
 //! ```

@@ -8,9 +8,11 @@ use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-/// Files that the process may have open, and connections of the crowd: more than that, and no more than come before a small run is over.
+/// Files that the process may have open, and connections of the crowd: more than that.
 const FILES: u32 = 256;
 const CROWD: usize = 400;
+/// Steps of a training that is not over before the crowd is there.
+const STEPS: &str = "600";
 
 /// The program in a shell that may open so few files.
 fn with_few_files(limit: u32, args: &[String]) -> Command {
@@ -48,14 +50,17 @@ fn a_crowd_of_idle_connections_does_not_end_a_run() {
     let dir = folder();
     let run = dir.path().join("run");
     let name = "a_crowd_of_idle_connections_does_not_end_a_run";
-    let Some((mut child, stdout)) = amid_a_crowd(name, &listening(&again(&run, &[]))) else { return };
+    let long = ["--steps", STEPS];
+    let Some((mut child, stdout)) = amid_a_crowd(name, &listening(&again(&run, &long))) else { return };
     assert_eq!(child.wait().expect("it ends").code(), Some(0), "{stdout}");
-    same_as_untouched(&run);
+    let untouched = dir.path().join("untouched");
+    completes(&again(&untouched, &long));
+    same_results(&run, &untouched);
 }
 
 fn manifest(dir: &Path) -> String {
     let file = dir.join("places.toml");
-    let settings = "settings = { size = 96, steps = 60, refine_steps = 4, prompt_budget = 24 }";
+    let settings = format!("settings = {{ size = 96, steps = {STEPS}, refine_steps = 4, prompt_budget = 24 }}");
     let scene = scene().display();
     let text =
         format!("[defaults]\nattempts = 1\n{settings}\n[[scene]]\nname = \"one\"\npath = \"{scene}\"\n");
