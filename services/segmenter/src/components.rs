@@ -4,7 +4,7 @@ use crate::{ClickHit, Evidence, NeighbourGraph};
 use segwild_scene::Splats;
 
 /// Share of a click's pixel that a splat must make up to stand for the click.
-const SEED: f32 = 0.05;
+const MIN_CLICK_SHARE: f32 = 0.05;
 
 /// Multi-view support that keeps a part however small it is: the mean number of photos without clicks that see a splat of
 /// it, and the share of their evidence that must lie inside. Examples are a shield beside its bearer and the foot of a
@@ -39,7 +39,7 @@ pub(crate) fn keep_clicked(
         let mut holds = vec![false; parts];
         for hit in hits {
             for &(splat, s) in &hit.splats {
-                if let (Some(part), true) = (part[splat as usize], s >= SEED * hit.alpha) {
+                if let (Some(part), true) = (part[splat as usize], s >= MIN_CLICK_SHARE * hit.alpha) {
                     holds[part as usize] = true;
                 }
             }

@@ -15,7 +15,7 @@ const VOTE_FLOOR: f32 = 1.0;
 
 /// Where a photo sees a share of a splat's light, its evidence counts as known by that share to this power. A tenth that
 /// shows beside something else determines the side of that tenth, and little of the rest.
-const PARTIAL_VIEW: f32 = 1.5;
+const COVERAGE_EXPONENT: f32 = 1.5;
 
 /// Evidence for and against each splat, summed over views. The unit is a view: one that sees a splat whole
 /// and large adds 1 to the two together; with [`Vote::Light`] it is a pixel's light.
@@ -133,7 +133,7 @@ pub fn coverage(
             evidence.inside[i] = within * vote;
             evidence.outside[i] = (all - within) * vote;
             evidence.known[i] = match worth {
-                Vote::View => (all * vote).powf(PARTIAL_VIEW),
+                Vote::View => (all * vote).powf(COVERAGE_EXPONENT),
                 Vote::Light => all,
             };
         }

@@ -9,26 +9,26 @@ use segwild_raster::{Channels, Projected, RasterError};
 use segwild_scene::{Camera, Image};
 
 /// Accumulated alpha under which a pixel's depth is unknown.
-const SOLID: f32 = 0.5;
+const MIN_DEPTH_ALPHA: f32 = 0.5;
 
 /// Share of a splat's evidence that must lie inside for its depth to count: those astride the outline may belong to either thing.
-const WITHIN: f32 = 0.5;
+const MIN_SHARE_INSIDE: f32 = 0.5;
 
 /// How much deeper than the deepest click the far layer must start, and how far apart the medians of the two layers must be, in
 /// widths of the near layer: things are rarely deeper than they are wide.
-const CLEAR: f64 = 1.0;
-const APART: f64 = 2.0;
+const LAYER_GAP: f64 = 1.0;
+const LAYER_DISTANCE: f64 = 2.0;
 
 /// Most light that the middle half of the way between the two layers may hold, as a share of the far layer: a street that
 /// recedes from the camera is deep as well, but fills all depths. Spread evenly, the light there would be half of a layer's.
-const EMPTY: f64 = 0.4;
+const MAX_LIGHT_MIDWAY: f64 = 0.4;
 
 /// Share of the evidence for a splat of the far layer that becomes evidence against it. Small, so that other photos
 /// overrule it where the near layer is only the front of the object.
-const AGAINST: f32 = 0.3;
+const BACKGROUND_AGAINST: f32 = 0.3;
 
 /// At most so many layers are split off behind the near one.
-const LAYERS: usize = 4;
+const MAX_LAYERS: usize = 4;
 
 /// Depth of a splat, and its light inside the mask, in pixels.
 struct SplatDepth {
@@ -53,7 +53,7 @@ pub(crate) fn discount_background(
     let depths = projected.depths();
     let mut seen: Vec<SplatDepth> = (0..depths.len())
         .filter(|&i| depths[i].is_finite() && light[i] > 0.0)
-        .filter(|&i| evidence.rho(i).is_some_and(|rho| rho >= WITHIN))
+        .filter(|&i| evidence.rho(i).is_some_and(|rho| rho >= MIN_SHARE_INSIDE))
         .map(|i| SplatDepth { depth: depths[i].into(), light: light[i].into() })
         .collect();
     seen.sort_by(|a, b| a.depth.total_cmp(&b.depth));
@@ -61,7 +61,7 @@ pub(crate) fn discount_background(
     let Some(end) = end_of_near_layer(&seen, clicked, pixel) else { return Ok(()) };
     for i in (0..depths.len()).filter(|&i| f64::from(depths[i]) > end) {
         let all = evidence.seen(i);
-        evidence.outside[i] += AGAINST * std::mem::take(&mut evidence.inside[i]);
+        evidence.outside[i] += BACKGROUND_AGAINST * std::mem::take(&mut evidence.inside[i]);
         if all > 0.0 {
             evidence.known[i] *= evidence.outside[i] / all;
         }
@@ -82,7 +82,7 @@ fn deepest_click(
     let clicks = prompt.points.iter().filter(|point| point.inside);
     let depth = |pixel: usize| {
         let alpha = rendered.alpha.data[pixel];
-        (alpha >= SOLID).then(|| f64::from(rendered.image.data[pixel] / alpha))
+        (alpha >= MIN_DEPTH_ALPHA).then(|| f64::from(rendered.image.data[pixel] / alpha))
     };
     Ok(clicks
         .map(|p| {
@@ -96,7 +96,7 @@ fn deepest_click(
 /// rising depth; `pixel` is the width of a pixel at the click, in scene units.
 fn end_of_near_layer(seen: &[SplatDepth], clicked: f64, pixel: f64) -> Option<f64> {
     let (mut left, mut end) = (seen, None);
-    for _ in 0..LAYERS {
+    for _ in 0..MAX_LAYERS {
         let Some(split) = best_split(left, clicked) else { break };
         let (near, far) = left.split_at(split);
         let boundary = 0.5 * (near[split - 1].depth + far[0].depth);
@@ -104,9 +104,9 @@ fn end_of_near_layer(seen: &[SplatDepth], clicked: f64, pixel: f64) -> Option<f6
         let width = pixel * light(near).sqrt();
         let (middle, reach) = (0.5 * (from + to), 0.25 * (to - from));
         let midway: f64 = left.iter().filter(|s| (s.depth - middle).abs() < reach).map(|s| s.light).sum();
-        let apart = boundary - clicked >= CLEAR * width && to - from >= APART * width;
+        let apart = boundary - clicked >= LAYER_GAP * width && to - from >= LAYER_DISTANCE * width;
         // A mask includes less background than object: if most light comes from the far layer, the near one is haze before it.
-        if !apart || light(far) > light(near) || midway > EMPTY * light(far) {
+        if !apart || light(far) > light(near) || midway > MAX_LIGHT_MIDWAY * light(far) {
             break;
         }
         (left, end) = (near, Some(boundary));

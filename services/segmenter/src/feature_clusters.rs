@@ -6,10 +6,10 @@ use crate::{Evidence, SplatFeatures};
 const MAX_CLUSTERS: usize = 4;
 
 /// Share of the masks' evidence that a cluster must hold: less is a sliver of what lies past the outline.
-const LEAST_SHARE: f32 = 0.1;
+const MIN_CLUSTER_SHARE: f32 = 0.1;
 
 /// Share of a splat's evidence that must lie inside for its feature to count.
-const WELL_INSIDE: f32 = 0.8;
+const MIN_MEMBER_SHARE: f32 = 0.8;
 
 /// Iterations of k-means: assign splats to the nearest centre, then take each cluster's mean.
 const ROUNDS: usize = 6;
@@ -19,7 +19,7 @@ const ROUNDS: usize = 6;
 /// splat with a feature.
 pub(crate) fn cluster_features(field: &SplatFeatures, evidence: &Evidence) -> Vec<Vec<f32>> {
     let inside: Vec<(usize, f32)> = (0..field.len())
-        .filter(|&i| evidence.rho(i).is_some_and(|rho| rho >= WELL_INSIDE) && field.has_direction(i))
+        .filter(|&i| evidence.rho(i).is_some_and(|rho| rho >= MIN_MEMBER_SHARE) && field.has_direction(i))
         .map(|i| (i, evidence.sides(i).0))
         .collect();
     let total: f32 = inside.iter().map(|(_, weight)| weight).sum();
@@ -65,7 +65,7 @@ pub(crate) fn cluster_features(field: &SplatFeatures, evidence: &Evidence) -> Ve
             }
         }
     }
-    let enough = |share: &f32| *share >= LEAST_SHARE * total;
+    let enough = |share: &f32| *share >= MIN_CLUSTER_SHARE * total;
     centres.into_iter().zip(shares).filter(|(_, share)| enough(share)).map(|(cluster, _)| cluster).collect()
 }
 

@@ -8,16 +8,16 @@ use segwild_scene::knn::{self, NONE};
 
 /// Two splats further apart than this many times the smaller of their local spacings are not linked, unless
 /// their ellipsoids meet: a floater does not connect two objects.
-const LINK: f32 = 3.0;
+const LINK_SPACINGS: f32 = 3.0;
 
 /// Standard deviations at which two ellipsoids count as meeting.
-const REACH: f32 = 2.0;
+const MEETING_DEVIATIONS: f32 = 2.0;
 
 /// Colour distance (sRGB) at which an edge has lost 40 % of its weight.
 const COLOUR_SIGMA: f32 = 0.25;
 
-/// How fast an edge's weight falls with the angle between two features: `exp(STEEP (cos - 1))`.
-const STEEP: f32 = 4.0;
+/// How fast an edge's weight falls with the angle between two features: `exp(FEATURE_STEEPNESS (cos - 1))`.
+const FEATURE_STEEPNESS: f32 = 4.0;
 
 /// Spherical-harmonics constant of degree 0.
 const SH0: f32 = 0.282_094_8;
@@ -135,7 +135,7 @@ impl NeighbourGraph {
             let near = if spread > 0.0 { d * d / spread } else { 0.0 };
             let hue = (colour(i) - colour(j)).length_squared() / (COLOUR_SIGMA * COLOUR_SIGMA);
             let hue = if hue.is_finite() { hue } else { 0.0 };
-            let feature = field.map_or(0.0, |f| STEEP * (1.0 - f.cosine(i, j)));
+            let feature = field.map_or(0.0, |f| FEATURE_STEEPNESS * (1.0 - f.cosine(i, j)));
             // Never 0: a row of zeros would have no neighbours at all.
             (-0.5 * near - 0.5 * hue - feature).exp().max(1e-6)
         };
@@ -175,11 +175,11 @@ impl NeighbourGraph {
 
     fn linked(&self, splats: &Splats, i: usize, edge: usize) -> bool {
         let (j, d) = (self.neighbour(edge), self.distances[edge]);
-        if d <= LINK * self.spacing[i].min(self.spacing[j]) {
+        if d <= LINK_SPACINGS * self.spacing[i].min(self.spacing[j]) {
             return true;
         }
         let along = (splats.mean(j) - splats.mean(i)) / d;
         let extent = |s: usize| ((splats.rotation(s).transpose() * along) * splats.scale(s)).length();
-        d <= REACH * (extent(i) + extent(j))
+        d <= MEETING_DEVIATIONS * (extent(i) + extent(j))
     }
 }

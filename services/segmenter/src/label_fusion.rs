@@ -6,37 +6,37 @@ use crate::{ClickHit, Evidence, NeighbourGraph, components};
 use segwild_scene::Splats;
 
 /// Steps that labels are carried along the graph before anything is decided.
-pub(crate) const STEPS: u32 = 64;
+pub(crate) const SPREAD_STEPS: u32 = 64;
 
 /// Evidence, in views, that makes a splat half known.
-const HALF_KNOWN: f32 = 0.2;
+const BELIEF_COVERAGE: f32 = 0.2;
 
 /// Evidence, in views, of resemblance alone where it is certain. It never counts against a splat.
-const HINT: f32 = 0.1;
+const RESEMBLANCE_COVERAGE: f32 = 0.1;
 
 /// Bins of the similarity from which the prior is learned.
 const BINS: usize = 24;
 
 /// Evidence that every bin starts with, in splats.
-const SMOOTHING: f64 = 4.0;
+const BIN_COVERAGE: f64 = 4.0;
 
 /// Least belief for a splat that no mask decides to count as connected to decided ones.
-const CONNECTED: f32 = 0.05;
+const CONNECTED_WEIGHT: f32 = 0.05;
 
 /// Belief from which a splat that no mask decides is surrounded by decided ones: the inside of an object needs no
 /// resemblance, and few photos see it well enough for a useful feature.
-const SURROUNDED: f32 = 0.5;
+const SURROUNDED_WEIGHT: f32 = 0.5;
 
 /// How far resemblance may move the prior from [`SegmentSettings::unseen_prior`], in odds: down, and up. The clicks
 /// show one side of an object. How far resemblance to them is to be trusted is learned from the splats that masks decided.
 /// The other side of the object may not resemble them: it must stay open until a photo's own boundaries decide it.
-const ODDS: [f64; 2] = [0.5, 20.0];
+const RESEMBLANCE_ODDS: [f64; 2] = [0.5, 20.0];
 
-/// The lowest probability that resemblance can give at even odds: [`ODDS`] as a probability.
-pub(crate) const LEAST_HINT: f32 = (ODDS[0] / (1.0 + ODDS[0])) as f32;
+/// The lowest probability that resemblance can give at even odds: [`RESEMBLANCE_ODDS`] as a probability.
+pub(crate) const LEAST_HINT: f32 = (RESEMBLANCE_ODDS[0] / (1.0 + RESEMBLANCE_ODDS[0])) as f32;
 
 /// Share of the evidence that a part without a click must hold for its neighbours to follow it.
-const LARGE: f32 = 0.25;
+const STRAY_SHARE: f32 = 0.25;
 
 /// Fused similarities of every splat.
 pub(crate) struct Similarities {
@@ -107,7 +107,7 @@ impl LabelFusion<'_> {
                 }
                 // Resemblance to the clicks counts a little as evidence, and more the more certain it is.
                 let hint = hint(i);
-                let say = if hangs[i] { HINT * sure(hint).powi(2) } else { 0.0 };
+                let say = if hangs[i] { RESEMBLANCE_COVERAGE * sure(hint).powi(2) } else { 0.0 };
                 let (mut inside, mut total) = (hint * say, say);
                 if !stray[i] {
                     inside += evidence.sides(i).0;
@@ -116,7 +116,7 @@ impl LabelFusion<'_> {
                 if total == 0.0 {
                     return Belief::default();
                 }
-                let weight = total / (total + HALF_KNOWN);
+                let weight = total / (total + BELIEF_COVERAGE);
                 Belief { inside: inside / total * weight, weight }
             })
             .collect();
@@ -141,7 +141,7 @@ impl LabelFusion<'_> {
             .map(|i| !self.is_frozen(i) && evidence.label(i, rho, gamma, least) == Some(true))
             .collect();
         let mut kept = inside.clone();
-        components::keep_clicked(self.graph, self.splats, &mut kept, evidence, None, self.hits, LARGE);
+        components::keep_clicked(self.graph, self.splats, &mut kept, evidence, None, self.hits, STRAY_SHARE);
         inside.iter().zip(&kept).map(|(inside, kept)| *inside && !kept).collect()
     }
 
@@ -177,7 +177,8 @@ impl LabelFusion<'_> {
         if self.settings.similarity_use == SimilarityUse::Off {
             return None;
         }
-        let (mut inside, mut outside) = ([SMOOTHING / BINS as f64; BINS], [SMOOTHING / BINS as f64; BINS]);
+        let (mut inside, mut outside) =
+            ([BIN_COVERAGE / BINS as f64; BINS], [BIN_COVERAGE / BINS as f64; BINS]);
         for i in (0..self.graph.len()).filter(|&i| !self.is_frozen(i)) {
             let at = bin(similarities.merit(i));
             let (within, beyond) = evidence.sides(i);
@@ -188,7 +189,7 @@ impl LabelFusion<'_> {
         let prior = f64::from(self.settings.unseen_prior);
         let mut pooled: Vec<(f64, f64, usize)> = Vec::with_capacity(BINS);
         let chance = |a: f64, b: f64| {
-            let odds = (a / b).clamp(ODDS[0], ODDS[1]);
+            let odds = (a / b).clamp(RESEMBLANCE_ODDS[0], RESEMBLANCE_ODDS[1]);
             prior * odds / (prior * odds + 1.0 - prior)
         };
         for at in 0..BINS {
@@ -224,12 +225,12 @@ impl LabelFusion<'_> {
                     None if s.undecided == Undecided::Out => false,
                     None => {
                         let belief = state.beliefs[i];
-                        belief.weight >= CONNECTED
+                        belief.weight >= CONNECTED_WEIGHT
                             && belief.inside > 0.5 * belief.weight
                             && state.probability[i] > 0.5
                             && passes(match s.similarity_use {
                                 SimilarityUse::Gate | SimilarityUse::Alone => true,
-                                SimilarityUse::Unseen => belief.weight < SURROUNDED,
+                                SimilarityUse::Unseen => belief.weight < SURROUNDED_WEIGHT,
                                 SimilarityUse::Off => false,
                             })
                     }

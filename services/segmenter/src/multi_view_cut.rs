@@ -15,7 +15,7 @@ use segwild_scene::{Camera, Mask, Pose, Splats};
 
 /// Standard deviations at which an opaque splat has lost half of its alpha: what is seen of it ends here. Sampled to the
 /// paper's 1.5, the part that is kept would be seen to end a fifth before the outline.
-const EDGE: f64 = 1.177_41;
+const HALF_ALPHA_END: f64 = 1.177_41;
 
 /// Samples along an axis, and how often the step between two of them is halved to find the end.
 const SAMPLES: usize = 16;
@@ -23,10 +23,10 @@ const HALVINGS: usize = 5;
 
 /// Share of the votes that must put a sample inside for it to stay. Under a half: where something else stands before
 /// the object a photo's mask ends as well, and that is no reason to cut.
-const KEEP: f32 = 0.3;
+const KEPT_VOTES: f32 = 0.3;
 
 /// Sum of votes, in photos, under which nothing is cut: fewer photos know less than the evidence that chose the splat.
-const QUORUM: f32 = 1.0;
+const MIN_VOTES: f32 = 1.0;
 
 /// The vote of a photo's mask, where its own boundaries took part in a selection.
 #[derive(Clone, Copy, Debug)]
@@ -87,7 +87,7 @@ fn cut_splat(splats: &Splats, i: usize, votes: &[MaskVote], mode: SpikeMode, nea
     // A splat is as flat as the surface it lies on: its two long axes can stick out, its thickness cannot.
     for axis in order.into_iter().take(2) {
         let Some((from, to)) = kept_range(&shape, shape.root.col(axis), i, &seeing, near) else { continue };
-        let share = 0.5 * (to - from) / EDGE;
+        let share = 0.5 * (to - from) / HALF_ALPHA_END;
         if share <= 0.0 {
             return CutOutcome::Dropped;
         }
@@ -134,7 +134,7 @@ fn stays(sights: &[AxisVote], t: f64, near: f32) -> bool {
             inside += if mask_vote.mask.at(x, y) { *visibility } else { 0.0 };
         }
     }
-    all < QUORUM || inside >= KEEP * all
+    all < MIN_VOTES || inside >= KEPT_VOTES * all
 }
 
 /// The longest stretch of an axis, in standard deviations, that the votes leave inside; `None` where nothing is to be cut. An
@@ -158,7 +158,7 @@ fn kept_range(
             }
         })
         .collect();
-    let position = |k: f64| (2.0 * k / SAMPLES as f64 - 1.0) * EDGE;
+    let position = |k: f64| (2.0 * k / SAMPLES as f64 - 1.0) * HALF_ALPHA_END;
     let middle = |k: usize| position(k as f64 + 0.5);
     let (mut best, mut from) = ((0, 0), 0);
     for k in 0..=SAMPLES {
@@ -184,7 +184,7 @@ fn kept_range(
         }
         kept
     };
-    let low = if from == 0 { -EDGE } else { end(from, from - 1) };
-    let high = if to == SAMPLES { EDGE } else { end(to - 1, to) };
+    let low = if from == 0 { -HALF_ALPHA_END } else { end(from, from - 1) };
+    let high = if to == SAMPLES { HALF_ALPHA_END } else { end(to - 1, to) };
     (best != (0, SAMPLES)).then_some((low, high))
 }

@@ -6,13 +6,13 @@ use segwild_scene::{Camera, Image, Mask, Pose, Splats, box_mean};
 
 /// Share of a pixel that the object must make up to own it, relative to its mean share around there; absolute where it is
 /// rendered alone.
-const HALF: f32 = 0.5;
+const OWNED_SHARE: f32 = 0.5;
 /// The least share of a pixel that it must make up: less is stray haze.
-const LEAST: f32 = 0.3;
+const MIN_OWNED_SHARE: f32 = 0.3;
 /// Half width of the window around a pixel, as a part of the frame's long side.
-const AROUND: usize = 50;
+const WINDOWS_PER_SIDE: usize = 50;
 /// Long side in pixels at which the windows are evaluated: their result is smooth.
-const COARSE: usize = 400;
+const WINDOW_SIZE: usize = 400;
 
 /// An object taken out of its scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,14 +74,14 @@ pub fn owned(share: &Image, mode: MaskMode, size: (u32, u32)) -> Mask {
 fn margin(share: &Image, mode: MaskMode) -> Image {
     if mode == MaskMode::Amodal {
         let mut margin = share.clone();
-        margin.data.iter_mut().for_each(|s| *s -= HALF);
+        margin.data.iter_mut().for_each(|s| *s -= OWNED_SHARE);
         return margin;
     }
     let (w, h) = (share.width, share.height);
-    let shrink = COARSE as f32 / w.max(h).max(1) as f32;
+    let shrink = WINDOW_SIZE as f32 / w.max(h).max(1) as f32;
     let side = |n: usize| if shrink < 1.0 { ((n as f32 * shrink).round() as usize).max(1) } else { n };
     let small = share.resized(side(w), side(h));
-    let r = (small.width.max(small.height) / AROUND).max(1);
+    let r = (small.width.max(small.height) / WINDOWS_PER_SIDE).max(1);
     let around = |power: i32| {
         let powers: Vec<f32> = small.plane(0).iter().map(|s| s.powi(power)).collect();
         box_mean(&powers, small.width, small.height, r)
@@ -89,7 +89,7 @@ fn margin(share: &Image, mode: MaskMode) -> Image {
     let (cubes, squares) = (around(3), around(2));
     let owning = cubes.iter().zip(&squares).map(|(cubes, squares)| {
         let inside = if *squares > 0.0 { cubes / squares } else { 0.0 };
-        (HALF * inside).max(LEAST)
+        (OWNED_SHARE * inside).max(MIN_OWNED_SHARE)
     });
     let owning = Image { width: small.width, height: small.height, channels: 1, data: owning.collect() };
     let mut margin = owning.resized(w, h);
@@ -174,12 +174,12 @@ mod tests {
         for inside in [1.0, 0.9, 0.8, 0.7] {
             let iou = visible(&block(inside, 0.0)).iou(&outline());
             assert!(iou > 0.96, "{inside}: {iou}");
-            let by_half = Mask::over(SIZE.0 as u32, SIZE.1 as u32, block(inside, 0.0).plane(0), HALF);
+            let by_half = Mask::over(SIZE.0 as u32, SIZE.1 as u32, block(inside, 0.0).plane(0), OWNED_SHARE);
             assert!(iou >= by_half.iou(&outline()), "{inside}");
         }
         let thick = block(0.45, 0.0);
         assert!(visible(&thick).iou(&outline()) > 0.85);
-        assert!(Mask::over(SIZE.0 as u32, SIZE.1 as u32, thick.plane(0), HALF).is_empty());
+        assert!(Mask::over(SIZE.0 as u32, SIZE.1 as u32, thick.plane(0), OWNED_SHARE).is_empty());
     }
 
     #[test]

@@ -9,7 +9,7 @@ use segwild_scene::{Camera, Mask};
 
 /// Share of its weight that a pixel outside of a mask loses to a transient there. Not all of it: some of a transient mask is
 /// the scene in unusual light. All of it where the occluded splats surely resemble the clicks.
-const OCCLUDED: f32 = 0.7;
+const TRANSIENT_DISCOUNT: f32 = 0.7;
 
 /// Weight of each pixel of a frame as evidence, in [0, 1]; the mask covers `inside` of it. Pixels inside the mask keep their
 /// weight, whatever the transient mask holds there. `resembling`: how surely the splats rendered there resemble the clicks,
@@ -24,7 +24,8 @@ pub(crate) fn pixel_visibility(
     let mut pixel_visibility = soft(transients, frame.width, frame.height);
     for (i, (pixel_visibility, inside)) in pixel_visibility.iter_mut().zip(inside).enumerate() {
         let sure = resembling.map_or(0.0, |r| clean(r[i]));
-        *pixel_visibility = 1.0 - (OCCLUDED + (1.0 - OCCLUDED) * sure) * *pixel_visibility * (1.0 - inside);
+        *pixel_visibility = 1.0
+            - (TRANSIENT_DISCOUNT + (1.0 - TRANSIENT_DISCOUNT) * sure) * *pixel_visibility * (1.0 - inside);
     }
     pixel_visibility
 }
@@ -42,7 +43,7 @@ mod tests {
             pixel_visibility(&[0.0, 0.0, 0.0, 1.0], Some(&transients), resembling, &frame)
         };
         let close = |a: Vec<f32>, b: [f32; 4]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
-        let little = 1.0 - OCCLUDED;
+        let little = 1.0 - TRANSIENT_DISCOUNT;
         assert!(close(with_resemblance(None), [1.0, little, little, 1.0]));
         assert!(close(with_resemblance(Some(&[1.0, 1.0, 0.0, 1.0])), [1.0, 0.0, little, 1.0]));
         assert!(close(with_resemblance(Some(&[f32::NAN, f32::NAN, -1.0, 2.0])), [1.0, little, little, 1.0]));

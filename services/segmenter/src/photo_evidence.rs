@@ -8,11 +8,11 @@ use segwild_raster::Projected;
 use segwild_scene::{Camera, Mask};
 
 /// Weight of a pixel outside of the prompted mask that is as likely part of the object as not.
-const LEAST_WEIGHT: f32 = 0.1;
+const MIN_PIXEL_WEIGHT: f32 = 0.1;
 
 /// Factor on how much is known by a prompted photo against one that was only refined: where its mask leaves nothing open, no
 /// other photo may treat as unknown what it puts outside, however little it sees of any splat there.
-const POINTED: f32 = 4.0;
+const PROMPTED_COVERAGE: f32 = 4.0;
 
 /// The evidence of a prompted photo.
 pub(crate) fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Result<Evidence, SegmentError> {
@@ -30,7 +30,7 @@ pub(crate) fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Res
         let open = open.resized(camera.width as usize, camera.height as usize);
         for (weight, chance) in weights.iter_mut().zip(open.plane(0)) {
             let certainty = 1.0 - 2.0 * chance;
-            *weight = if certainty.is_nan() { 1.0 } else { certainty.clamp(LEAST_WEIGHT, 1.0) };
+            *weight = if certainty.is_nan() { 1.0 } else { certainty.clamp(MIN_PIXEL_WEIGHT, 1.0) };
         }
     }
     let inside = soft(prompt.mask, camera.width, camera.height);
@@ -41,7 +41,7 @@ pub(crate) fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Res
     if request.settings.evidence_mode == EvidenceMode::Coverage {
         depth_layers::discount_background(&mut evidence, &*projected, prompt, inside, &view.camera, &camera)
             .map_err(SegmentError::raster(&view.name))?;
-        evidence.known.iter_mut().for_each(|known| *known *= POINTED);
+        evidence.known.iter_mut().for_each(|known| *known *= PROMPTED_COVERAGE);
     }
     Ok(evidence)
 }

@@ -2,7 +2,7 @@
 //! the rendered prior, and its evidence decides splats that no prompted photo sees.
 
 use crate::coverage::{clean, soft, unoccluded, visible};
-use crate::label_fusion::{FusionState, LEAST_HINT, LabelFusion, STEPS, sure};
+use crate::label_fusion::{FusionState, LEAST_HINT, LabelFusion, SPREAD_STEPS, sure};
 use crate::photo_evidence::view_evidence;
 use crate::request::{project, working_camera};
 use crate::spread::Belief;
@@ -20,39 +20,39 @@ use std::sync::atomic::{AtomicBool, Ordering};
 const ORDER_SIZE: u32 = 128;
 
 /// Steps that labels are carried after each new photo; earlier ones are kept.
-const MORE_STEPS: u32 = 8;
+const SPREAD_STEPS_PER_PHOTO: u32 = 8;
 
 /// Least share of a frame that the object must fill for the photo to give evidence.
-const SMALLEST: f32 = 5e-4;
+const MIN_SHOWN_PIXELS: f32 = 5e-4;
 
 /// Splats of the object that a view must see to be worth a visit.
-const FEW: u32 = 8;
+const MIN_SHOWN_SPLATS: u32 = 8;
 
 /// Weight of a pixel where the photo contradicts what is well known: a transient before the object, or a
 /// failure of the 2D segmenter, unless other photos agree with it.
-const CONTRADICTED: f32 = 0.3;
+const CONTRADICTED_WEIGHT: f32 = 0.3;
 
 /// Weight of a pixel whose splats have no evidence yet: there the mask is the 2D segmenter's guess from the rest of
 /// the photo, and another photo may know better.
-const UNKNOWN: f32 = 0.3;
+const UNKNOWN_WEIGHT: f32 = 0.3;
 
 /// Prior of a splat without evidence: where it resembles the clicks least, and where it resembles them as much as the
 /// rest of the object does. The second is over one half: a part wrongly left out is rendered as background and
 /// confirmed by every later photo, while one wrongly included meets photos that contradict it. The first is under one
 /// half: what only a few photos show, such as the ground below an object that all others see from below, would
 /// otherwise be included for good by the first of them.
-const OPEN: [f32; 2] = [0.4, 0.6];
+const OPEN_PRIOR: [f32; 2] = [0.4, 0.6];
 
 /// Share of a splat's evidence inside at which its prior is one half. Less than one half for the same reason: a part that a
 /// third of the masks hold is rendered as part of the object, and each photo decides it by its own boundaries. The share
 /// that counts in the end is [`SegmentSettings::rho`].
-const EVEN: f32 = 0.3;
+const EVEN_SHARE: f32 = 0.3;
 
 /// Evidence, in views, that has a weight of one half in the prior: less leaves the splat for the photo to decide.
-const HALF_RELIABLE: f32 = 1.0;
+const PRIOR_COVERAGE: f32 = 1.0;
 
 /// Share of a belief against a splat that enters the prior where it comes from its neighbours only.
-const NEIGHBOURS_AGAINST: f32 = 0.5;
+const AGAINST_WEIGHT: f32 = 0.5;
 
 /// The result of carrying the selection to one photo.
 #[derive(Clone, Debug, PartialEq)]
@@ -129,7 +129,7 @@ pub(crate) fn propagate(
     refiner: &dyn Refiner,
     publish: &Publish,
 ) -> Result<(FusionState, Vec<PhotoVisit>), SegmentError> {
-    let first = fusion.weigh(prompted.clone(), Vec::new(), STEPS);
+    let first = fusion.weigh(prompted.clone(), Vec::new(), SPREAD_STEPS);
     publish(AnswerStep::Prompted, &first);
     let (mut state, mut visits) =
         rayon::scope(|scope| first_round(request, fusion, first, refiner, publish, scope))?;
@@ -153,7 +153,7 @@ pub(crate) fn propagate(
             }
         }
         let beliefs = std::mem::take(&mut state.beliefs);
-        state = fusion.weigh(sum, beliefs, STEPS);
+        state = fusion.weigh(sum, beliefs, SPREAD_STEPS);
     }
     Ok((state, visits))
 }
@@ -204,7 +204,7 @@ fn first_round<'s>(
         if let Some(evidence) = evidence {
             let FusionState { evidence: mut sum, beliefs, .. } = state;
             sum.add(&evidence, 1.0);
-            state = fusion.weigh(sum, beliefs, MORE_STEPS);
+            state = fusion.weigh(sum, beliefs, SPREAD_STEPS_PER_PHOTO);
         }
         visits.push(visit);
         if visits.len() == PUBLISHED_AFTER {
@@ -238,7 +238,7 @@ fn most_known(fusion: &LabelFusion, state: &FusionState, open: &[(usize, SplatSe
         .iter()
         .filter_map(|(view, seen)| {
             let known = seen.overlap(&object);
-            (known >= FEW).then(|| (known as f32 / seen.overlap(&could_be) as f32, *view))
+            (known >= MIN_SHOWN_SPLATS).then(|| (known as f32 / seen.overlap(&could_be) as f32, *view))
         })
         .collect();
     shares.sort_by(|(a, v), (b, w)| b.total_cmp(a).then(v.cmp(w)));
@@ -254,18 +254,18 @@ fn certainty_of(fusion: &LabelFusion, state: &FusionState, splat: usize) -> f32 
         return 0.0;
     }
     let known = state.evidence.known[splat];
-    let reliability = known / (known + HALF_RELIABLE);
+    let reliability = known / (known + PRIOR_COVERAGE);
     let resembles = ((state.hint[splat] - LEAST_HINT) / (0.5 - LEAST_HINT)).clamp(0.0, 1.0);
-    let open = OPEN[0] + (OPEN[1] - OPEN[0]) * resembles;
+    let open = OPEN_PRIOR[0] + (OPEN_PRIOR[1] - OPEN_PRIOR[0]) * resembles;
     let around = state.beliefs[splat].probability(open);
-    let rest = if around < open { open + NEIGHBOURS_AGAINST * (around - open) } else { around };
+    let rest = if around < open { open + AGAINST_WEIGHT * (around - open) } else { around };
     let masks = state.evidence.rho(splat).map_or(0.0, leaning);
     (masks * reliability + (1.0 - reliability) * rest).clamp(0.0, 1.0)
 }
 
-/// Prior of a splat with this share of its evidence inside: its odds relative to those of [`EVEN`].
+/// Prior of a splat with this share of its evidence inside: its odds relative to those of [`EVEN_SHARE`].
 fn leaning(share: f32) -> f32 {
-    let (inside, outside) = (share * (1.0 - EVEN), (1.0 - share) * EVEN);
+    let (inside, outside) = (share * (1.0 - EVEN_SHARE), (1.0 - share) * EVEN_SHARE);
     inside / (inside + outside)
 }
 
@@ -334,7 +334,7 @@ impl RefineQuery {
     /// Whether enough of the object is in sight for the photo to give evidence.
     fn shows(&self) -> bool {
         let shown = self.certainty.data.iter().filter(|c| **c > 0.5).count();
-        shown as f32 >= SMALLEST * self.certainty.data.len() as f32
+        shown as f32 >= MIN_SHOWN_PIXELS * self.certainty.data.len() as f32
     }
 }
 
@@ -411,7 +411,11 @@ fn weigh_answer(
         .zip(known)
         .zip(&pixel_visibility)
         .map(|(((&m, &c), &k), &h)| {
-            h * if k > 0.8 && (m - c).abs() > 0.8 { CONTRADICTED } else { UNKNOWN + (1.0 - UNKNOWN) * k }
+            h * if k > 0.8 && (m - c).abs() > 0.8 {
+                CONTRADICTED_WEIGHT
+            } else {
+                UNKNOWN_WEIGHT + (1.0 - UNKNOWN_WEIGHT) * k
+            }
         })
         .collect();
     let mut evidence = Evidence::none(request.splats.len());
@@ -431,7 +435,7 @@ mod tests {
     /// The plinth that every photo left out because the photo before it had.
     #[test]
     fn a_part_that_a_third_of_the_masks_hold_has_a_prior_over_one_half() {
-        assert!((leaning(EVEN) - 0.5).abs() < 1e-6);
+        assert!((leaning(EVEN_SHARE) - 0.5).abs() < 1e-6);
         assert!(leaning(0.34) > 0.5 && leaning(0.25) < 0.5);
         assert_eq!((leaning(0.0), leaning(1.0)), (0.0, 1.0));
         assert!((1..=20).all(|k| leaning(k as f32 / 20.0) > leaning((k - 1) as f32 / 20.0)));

@@ -2,7 +2,7 @@
 
 use crate::coverage::{unoccluded, visible};
 use crate::feature_clusters::cluster_features;
-use crate::label_fusion::{FusionState, LabelFusion, STEPS, Similarities};
+use crate::label_fusion::{FusionState, LabelFusion, SPREAD_STEPS, Similarities};
 use crate::photo_evidence::prompted_evidence;
 use crate::request::{PromptedView, Request, project, view, working_camera};
 use crate::settings::{ComponentRule, CutBy, SimilarityUse};
@@ -14,10 +14,10 @@ use crate::{
 use glam::Vec2;
 
 /// Accumulated alpha under which a click counts as on nothing.
-const CLICK_ALPHA: f32 = 0.1;
+const MIN_CLICK_ALPHA: f32 = 0.1;
 
 /// IoU with the prompted masks under which a selection that was carried to other photos has drifted to another object.
-const ELSEWHERE: f32 = 0.25;
+const DRIFT_AGREEMENT: f32 = 0.25;
 
 /// Share of a splat's evidence that must lie inside, and views in which it must be known, for it to count as astride
 /// the outline.
@@ -94,16 +94,16 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
         Some(refiner) if rounds > 0 => {
             propagate::propagate(request, &fusion, prompted.clone(), refiner, &publish)?
         }
-        _ => (fusion.weigh(prompted.clone(), Vec::new(), STEPS), Vec::new()),
+        _ => (fusion.weigh(prompted.clone(), Vec::new(), SPREAD_STEPS), Vec::new()),
     };
     let decide = |state, visits| decide(request, &fusion, &prompted, state, visits);
     let carried = decide(state, visits);
-    let elsewhere = carried.as_ref().map_or(true, |s| s.agreement < ELSEWHERE && !s.visits.is_empty());
+    let elsewhere = carried.as_ref().map_or(true, |s| s.agreement < DRIFT_AGREEMENT && !s.visits.is_empty());
     if !elsewhere || rounds == 0 {
         return carried;
     }
     // The other photos hold evidence of another object: only the prompted photos decide.
-    let own = decide(fusion.weigh(prompted.clone(), Vec::new(), STEPS), Vec::new());
+    let own = decide(fusion.weigh(prompted.clone(), Vec::new(), SPREAD_STEPS), Vec::new());
     match (carried, own) {
         (Ok(carried), Ok(own)) if own.agreement < 2.0 * carried.agreement => Ok(carried),
         (Ok(carried), Ok(own)) => {
@@ -304,7 +304,7 @@ pub(crate) fn hits(request: &Request) -> Result<(Vec<ClickHit>, Vec<ClickHit>), 
                 window,
             )
             .map_err(SegmentError::raster(&view.name))?;
-            if hit.alpha < CLICK_ALPHA {
+            if hit.alpha < MIN_CLICK_ALPHA {
                 if point.inside {
                     return Err(SegmentError::EmptySpace { photo, x, y, alpha: hit.alpha });
                 }

@@ -9,16 +9,16 @@ use rayon::prelude::*;
 use segwild_scene::{Camera, Mask, Pose, Splats};
 
 /// Standard deviations from the centre to each end of the segment that stands for a splat.
-pub(crate) const ENDS: f64 = 1.5;
+pub(crate) const SEGMENT_END: f64 = 1.5;
 
 /// A splat whose axes differ by this factor in variance is a spike.
-const ELONGATED: f64 = 4.0;
+const MIN_ELONGATION: f64 = 4.0;
 
 /// A splat whose segment reaches further than this, in pixels, is examined even when it is round.
-const LONG: f64 = 2.0;
+const MIN_HALF_LENGTH: f64 = 2.0;
 
 /// A splat of whose segment less than this lies inside is dropped from the selection.
-const DROP: f64 = 0.05;
+const MIN_INSIDE: f64 = 0.05;
 
 /// Passes over one splat in one view: moving a splat changes its depth and so, a little, its size.
 const PASSES: usize = 4;
@@ -27,7 +27,7 @@ const PASSES: usize = 4;
 const SAMPLES: f64 = 4096.0;
 
 /// Cosine to the viewing ray above which a splat is moved at fixed depth instead of along itself.
-const ALONG_RAY: f64 = 0.95;
+const MAX_RAY_COSINE: f64 = 0.95;
 
 /// Smallest standard deviation written: its logarithm is finite.
 const SCALE_MIN: f64 = 1e-12;
@@ -177,7 +177,7 @@ fn cut_splat(splats: &Splats, i: usize, views: &[CutView], mode: SpikeMode, near
         for _ in 0..PASSES {
             let Some(footprint) = shape.project(&view.camera, &view.pose, near) else { break };
             let Some(inside) = sticking_out(&footprint, view.mask) else { break };
-            if inside.share < DROP {
+            if inside.share < MIN_INSIDE {
                 return CutOutcome::Dropped;
             }
             if inside.share >= 1.0 {
@@ -198,13 +198,13 @@ fn cut_splat(splats: &Splats, i: usize, views: &[CutView], mode: SpikeMode, near
 
 /// Whether a footprint is long enough to be examined.
 pub(crate) fn is_spike(axes: &Axes) -> bool {
-    axes.major >= ELONGATED * axes.minor || ENDS * axes.major.sqrt() > LONG
+    axes.major >= MIN_ELONGATION * axes.minor || SEGMENT_END * axes.major.sqrt() > MIN_HALF_LENGTH
 }
 
 /// How much of a candidate lies inside the mask; `None` for splats that are not to be cut.
 fn sticking_out(footprint: &EllipsoidFootprint, mask: &Mask) -> Option<Inside> {
     let axes = footprint.axes();
-    let half = axes.direction * (ENDS * axes.major.sqrt());
+    let half = axes.direction * (SEGMENT_END * axes.major.sqrt());
     let at = |p: DVec2| mask.at(p.x as f32, p.y as f32);
     let (start_in, end_in) = (at(footprint.centre - half), at(footprint.centre + half));
     if (start_in && end_in) || !is_spike(&axes) || !half.is_finite() {
@@ -213,10 +213,10 @@ fn sticking_out(footprint: &EllipsoidFootprint, mask: &Mask) -> Option<Inside> {
     // Samples at the middles of equal steps of at most a pixel, so that the kept part ends inside.
     let samples = (2.0 * half.abs().max_element()).min(SAMPLES).floor() as usize + 1;
     let samples = samples.max(2);
-    let position = |k: f64| (2.0 * k / samples as f64 - 1.0) * ENDS;
+    let position = |k: f64| (2.0 * k / samples as f64 - 1.0) * SEGMENT_END;
     let (mut count, mut run, mut longest, mut longest_end) = (0, 0, 0, 0);
     for k in 0..samples {
-        let t = position(k as f64 + 0.5) / ENDS;
+        let t = position(k as f64 + 0.5) / SEGMENT_END;
         if at(footprint.centre + half * t) {
             count += 1;
             run += 1;
@@ -230,8 +230,8 @@ fn sticking_out(footprint: &EllipsoidFootprint, mask: &Mask) -> Option<Inside> {
     let share = |n: usize| n as f64 / samples as f64;
     Some(match (start_in, end_in) {
         // The kept part is 3 r standard deviations long and touches the inside end.
-        (true, false) => Inside { share: share(count), middle: ENDS * (share(count) - 1.0) },
-        (false, true) => Inside { share: share(count), middle: ENDS * (1.0 - share(count)) },
+        (true, false) => Inside { share: share(count), middle: SEGMENT_END * (share(count) - 1.0) },
+        (false, true) => Inside { share: share(count), middle: SEGMENT_END * (1.0 - share(count)) },
         _ => Inside { share: share(longest), middle: position(longest_end as f64 - 0.5 * longest as f64) },
     })
 }
@@ -275,11 +275,11 @@ fn moved(footprint: &EllipsoidFootprint, along: DVec3, shift: DVec2, view: &CutV
     let axis = DVec2::new(shift.x * fx, shift.y * fy);
     let slope = axis.dot(a.truncate() - target * a.z);
     let step = axis.dot(target * p.z - p.truncate()) / slope;
-    let steep = a.dot(p).abs() > ALONG_RAY * a.length() * p.length();
+    let steep = a.dot(p).abs() > MAX_RAY_COSINE * a.length() * p.length();
     let depth = p.z + step * a.z;
     // Perspective can turn a short shift into a long way; the kept part of the splat itself is within 1.5
     // standard deviations.
-    if !steep && step.abs() <= 2.0 * ENDS && depth > 0.5 * p.z && depth < 2.0 * p.z {
+    if !steep && step.abs() <= 2.0 * SEGMENT_END && depth > 0.5 * p.z && depth < 2.0 * p.z {
         along * step
     } else {
         rotation.transpose() * DVec3::new(shift.x * p.z / fx, shift.y * p.z / fy, 0.0)

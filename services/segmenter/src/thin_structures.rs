@@ -7,29 +7,29 @@
 use segwild_scene::{Image, Mask, box_mean};
 
 /// Half width of the window of neighbours, as a share of the photo's diagonal; the box filter is applied twice.
-const AROUND: f32 = 0.008;
+const WINDOW: f32 = 0.008;
 /// Share of sky around an empty pixel from which it surely stands before the sky. Before ground or sea without splats, an empty
 /// pixel is no evidence.
-const OPEN: f32 = 0.25;
+const SKY_SHARE: f32 = 0.25;
 /// Least accumulated alpha of the splats around a pixel that can decide it.
-const SPEAK: f32 = 0.02;
+const MIN_ALPHA_AROUND: f32 = 0.02;
 
 /// Completes the prior of a photo's pixels where splats are missing: `certainty` and `alpha`, as rendered, are one plane
 /// each. Returns how much of each pixel is missing, in [0, 1].
 pub(crate) fn complete(certainty: &mut Image, alpha: &Image, sky: &Mask) -> Vec<f32> {
     let (w, h) = (certainty.width, certainty.height);
     let sky = sky.resized(w as u32, h as u32);
-    let r = ((AROUND * (w as f32).hypot(h as f32)).round() as usize).max(1);
+    let r = ((WINDOW * (w as f32).hypot(h as f32)).round() as usize).max(1);
     let around = |values: &[f32]| box_mean(&box_mean(values, w, h, r), w, h, r);
     let open: Vec<f32> = (0..w * h).map(|i| f32::from(u8::from(sky.index(i)))).collect();
     let (open, solid, inside) = (around(&open), around(&alpha.data), around(&certainty.data));
     (0..w * h)
         .map(|i| {
-            let known = solid[i] >= SPEAK && inside[i].is_finite();
+            let known = solid[i] >= MIN_ALPHA_AROUND && inside[i].is_finite();
             if sky.index(i) || !known {
                 return 0.0;
             }
-            let missing = (1.0 - alpha.data[i]).clamp(0.0, 1.0) * (open[i] / OPEN).min(1.0);
+            let missing = (1.0 - alpha.data[i]).clamp(0.0, 1.0) * (open[i] / SKY_SHARE).min(1.0);
             certainty.data[i] = (certainty.data[i] + missing * (inside[i] / solid[i]).min(1.0)).min(1.0);
             missing
         })

@@ -1,6 +1,6 @@
 //! The first answer to clicks by the scene tree (method, section 13).
 
-use crate::scene_tree::{GroupCandidate, NONE, SCENE, SceneTree, TreeQuery};
+use crate::scene_tree::{GroupCandidate, NONE, SCENE_AREA, SceneTree, TreeQuery};
 use crate::select::hits;
 use crate::{AnswerStep, Evidence, FirstAnswer, PosedView, PromptedView, Request, SegmentError};
 use segwild_raster::Channels;
@@ -8,10 +8,10 @@ use segwild_scene::{Image, Mask, Prompts, ScoredMask};
 use segwild_vision::{PromptSegmenter, VisionError};
 
 /// What the tree says of each splat counts as much as so many photos that see it whole.
-const TREE_EVIDENCE: f32 = 1.0;
+const TREE_VOTE: f32 = 1.0;
 
 /// Share of a pixel that a group must make up to show in it.
-const SHOWN: f32 = 0.5;
+const MIN_GROUP_SHARE: f32 = 0.5;
 
 /// Something that clicks may mean.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -89,7 +89,7 @@ pub(crate) fn answer(
     let Some(first) = found.first() else { return Ok(TreeAnswer::default()) };
     let mut meanings: Vec<Option<&GroupCandidate>> = found.iter().map(Some).collect();
     let several = |(_, prompts): &(usize, Prompts)| prompts.points.iter().filter(|p| p.inside).count() > 1;
-    let by_photo = granularity.is_none() && (clicks.iter().any(several) || first.area > SCENE);
+    let by_photo = granularity.is_none() && (clicks.iter().any(several) || first.area > SCENE_AREA);
     meanings.insert(usize::from(!by_photo), None);
     let named = |meaning: &Option<&GroupCandidate>| match meaning {
         Some(candidate) => Alternative::Group(candidate.area),
@@ -122,8 +122,8 @@ impl GroupAnswer {
         let mut prior = Evidence::none(labels.len());
         for (i, &label) in labels.iter().enumerate().filter(|(i, _)| tree.leaf[*i] != NONE) {
             let side = if label { &mut prior.inside } else { &mut prior.outside };
-            side[i] = TREE_EVIDENCE;
-            prior.known[i] = TREE_EVIDENCE;
+            side[i] = TREE_VOTE;
+            prior.known[i] = TREE_VOTE;
         }
         let mut masks = Vec::with_capacity(prompts.len());
         for ((view, _), photo) in prompts.iter().zip(photos) {
@@ -132,7 +132,7 @@ impl GroupAnswer {
             let wide = share.resized(photo.width, photo.height);
             let failed =
                 |e: VisionError| SegmentError::Provider { photo: posed.name.clone(), reason: e.to_string() };
-            let refined = match wide.data.iter().any(|&share| share > SHOWN) {
+            let refined = match wide.data.iter().any(|&share| share > MIN_GROUP_SHARE) {
                 true => Some(segmenter.refine(photo, &wide).map_err(failed)?),
                 false => None,
             };

@@ -4,19 +4,19 @@ use segwild_raster::Frame;
 use segwild_scene::Image;
 
 /// Pixels between the samples of the second difference of inverse depth.
-const STEP: usize = 2;
+const DIFFERENCE_STEP: usize = 2;
 
 /// Half width, in pixels, of the window whose largest inverse depth a second difference is relative to.
-const LOCAL: usize = 2;
+const LOCAL_WINDOW: usize = 2;
 
 /// A relative second difference of this many times its median is half way to an occlusion: the median is the noise of a surface.
-const NOISE: f32 = 6.0;
+const NOISE_FACTOR: f32 = 6.0;
 
 /// Least relative second difference that counts as one.
-const LEAST_BEND: f32 = 0.03;
+const MIN_BEND: f32 = 0.03;
 
 /// Accumulated alpha from which a pixel has a depth.
-const SOLID: f32 = 0.5;
+const MIN_DEPTH_ALPHA: f32 = 0.5;
 
 /// The weighted sum of boundary maps of one size, clamped to [0, 1].
 pub fn combined(maps: [(f32, &Image); 2]) -> Image {
@@ -41,7 +41,7 @@ pub fn depth_edges(frame: &Frame) -> Image {
     let mut relative = vec![0.0f32; w * h];
     for y in 0..h as isize {
         for x in 0..w as isize {
-            let (s, local) = (STEP as isize, LOCAL as isize);
+            let (s, local) = (DIFFERENCE_STEP as isize, LOCAL_WINDOW as isize);
             // A side that lies outside the frame says nothing.
             let bend = |dx: isize, dy: isize| {
                 let inside = x >= dx && y >= dy && x + dx < w as isize && y + dy < h as isize;
@@ -56,14 +56,14 @@ pub fn depth_edges(frame: &Frame) -> Image {
         }
     }
     let mut solid: Vec<f32> =
-        relative.iter().zip(alpha.plane(0)).filter(|(_, a)| **a > SOLID).map(|(r, _)| *r).collect();
+        relative.iter().zip(alpha.plane(0)).filter(|(_, a)| **a > MIN_DEPTH_ALPHA).map(|(r, _)| *r).collect();
     let noise = if solid.is_empty() {
         0.0
     } else {
         let middle = solid.len() / 2;
         *solid.select_nth_unstable_by(middle, f32::total_cmp).1
     };
-    let half = NOISE * noise + LEAST_BEND;
+    let half = NOISE_FACTOR * noise + MIN_BEND;
     let data = relative.iter().map(|r| 1.0 - (-(r / half).powi(2)).exp()).collect();
     Image { width: w, height: h, channels: 1, data }
 }

@@ -11,25 +11,25 @@ use segwild_vision::ContourTree;
 use segwild_vision::linkage::MergeTree;
 
 /// Least share of a pixel that a splat must make up for the view to see it there.
-const SEEN_SHARE: f32 = 0.12;
+const MIN_FRONT_SHARE: f32 = 0.12;
 
 /// Least share of a splat's light that must reach the camera for the view to see it.
-const SEEN_LIGHT: f32 = 0.3;
+const MIN_LIGHT_SHARE: f32 = 0.3;
 
 /// Light in pixels, over all views, from which a splat takes part.
-const PART_LIGHT: f32 = 1.0;
+const MIN_NODE_LIGHT: f32 = 1.0;
 
 /// Opacity from which a splat takes part.
-const PART_OPACITY: f32 = 0.1;
+const MIN_NODE_OPACITY: f32 = 0.1;
 
 /// Nearest neighbours that a splat is linked with.
 const NEIGHBOURS: usize = 10;
 
 /// Border pixels between two fronts, over all views, that link their splats.
-const BORDER: f32 = 3.0;
+const MIN_BORDER: f32 = 3.0;
 
 /// Accumulated alpha under which a pixel has no front.
-const SOLID: f32 = 0.5;
+const MIN_FRONT_ALPHA: f32 = 0.5;
 
 /// Quantile of the known distances that unknown ones are taken to have, and their weight.
 const UNKNOWN: (f64, f32) = (0.75, 0.2);
@@ -171,7 +171,7 @@ impl<'a> TreeBuilder<'a> {
         let edges = depth_edges(&inverse);
         let whole = unoccluded(splats, &camera, &view.pose, options);
         let seen: Vec<bool> = (0..splats.len())
-            .map(|i| front.shares[i] > SEEN_SHARE && light[i] > SEEN_LIGHT * whole[i])
+            .map(|i| front.shares[i] > MIN_FRONT_SHARE && light[i] > MIN_LIGHT_SHARE * whole[i])
             .collect();
         let views: Vec<ViewRegions> = CUE_WEIGHTS
             .par_iter()
@@ -196,7 +196,7 @@ impl<'a> TreeBuilder<'a> {
     /// Adds the sides of the fronts of a view.
     fn add_borders(&mut self, front: &FrontLayer, inverse: &Image, edges: &Image) {
         let (w, h) = (front.width, front.height);
-        let solid = |i: usize| front.alpha.data[i] >= SOLID && front.splats[i] != NO_SPLAT;
+        let solid = |i: usize| front.alpha.data[i] >= MIN_FRONT_ALPHA && front.splats[i] != NO_SPLAT;
         let near = |i: usize| inverse.data[i] / front.alpha.data[i];
         let mut borders = std::mem::take(&mut self.borders);
         for i in 0..w * h {
@@ -228,7 +228,8 @@ impl<'a> TreeBuilder<'a> {
 
     /// The graph of all splats that some view sees.
     pub fn graph(&self) -> SplatGraph {
-        let takes_part = |i: &usize| self.light[*i] > PART_LIGHT && self.splats.opacity(*i) > PART_OPACITY;
+        let takes_part =
+            |i: &usize| self.light[*i] > MIN_NODE_LIGHT && self.splats.opacity(*i) > MIN_NODE_OPACITY;
         let parts: Vec<u32> = (0..self.splats.len()).filter(takes_part).map(|i| i as u32).collect();
         let mut node = vec![NONE; self.splats.len()];
         parts.iter().enumerate().for_each(|(k, &i)| node[i as usize] = k as u32);
@@ -250,7 +251,7 @@ impl<'a> TreeBuilder<'a> {
         });
         let borders = merged(of_nodes.collect());
         pairs.extend(
-            borders.iter().filter(|border| border.length >= BORDER).map(|border| (border.a, border.b)),
+            borders.iter().filter(|border| border.length >= MIN_BORDER).map(|border| (border.a, border.b)),
         );
         pairs.sort_unstable();
         pairs.dedup();

@@ -13,7 +13,7 @@ const AFFINITY_DISTANCE: f32 = 0.1;
 const EIGENVECTORS: usize = 12;
 
 /// Share of a spectral tree's distances that comes from the edge itself; the rest is the distance in the embedding.
-const OWN_DISTANCE: f32 = 0.4;
+const EDGE_WEIGHT: f32 = 0.4;
 
 /// Quantile of the distances in the embedding that counts as 1, and the largest that counts.
 const EMBEDDED: (f64, f32) = (0.99, 1.5);
@@ -48,7 +48,7 @@ impl SplatGraph {
             }
             Growth::Spectral => {
                 for (e, far) in edges.iter_mut().zip(self.embedded(cue)) {
-                    e.distance = OWN_DISTANCE * e.distance + (1.0 - OWN_DISTANCE) * far;
+                    e.distance = EDGE_WEIGHT * e.distance + (1.0 - EDGE_WEIGHT) * far;
                 }
                 agglomerate(&self.areas, &edges, SPECTRAL_COST)
             }

@@ -15,7 +15,7 @@ mod tree;
 
 pub use graph::{CUES, FrontBorder, SplatEdge, SplatGraph, TreeBuilder};
 pub use parts::{MOST_PARTS, PartMap, SceneParts};
-pub(crate) use query::SCENE;
+pub(crate) use query::SCENE_AREA;
 pub use query::{GroupCandidate, TreeQuery};
 pub use segwild_vision::linkage::MergeTree;
 pub use tree::{GroupTree, NONE, SceneTree, SplatGroup};

@@ -1,6 +1,6 @@
 //! The parts of a scene: groups of the scene tree that do not overlap, without a click.
 
-use super::query::{LEAST_AREA, SCENE, expected};
+use super::query::{MIN_AREA, SCENE_AREA, expected};
 use super::tree::{Growth, TREES};
 use super::{GroupCandidate, GroupTree, NONE, SceneTree};
 use crate::PosedView;
@@ -11,13 +11,13 @@ use segwild_scene::{Mask, Splats};
 pub const MOST_PARTS: usize = 99;
 
 /// Share of a group that likelier parts may hold; what they hold is theirs.
-const SHARED: f32 = 0.1;
+const MAX_SHARED: f32 = 0.1;
 
 /// Least expected IoU of a part with a thing.
-const LEAST_EXPECTED: f32 = 0.25;
+const MIN_EXPECTED_IOU: f32 = 0.25;
 
 /// Accumulated alpha under which a pixel shows no part.
-const SHOWS: f32 = 0.5;
+const MIN_PART_ALPHA: f32 = 0.5;
 
 /// The parts of a scene, the likeliest things first. They are numbered from 1.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -59,7 +59,7 @@ impl PartMap {
     ) -> Result<PartMap, RasterError> {
         let front = CpuEngine::default().front(splats, &view.camera, &view.pose, options)?;
         let label = |(&splat, &alpha): (&u32, &f32)| match parts.labels.get(splat as usize) {
-            Some(&label) if alpha >= SHOWS => label,
+            Some(&label) if alpha >= MIN_PART_ALPHA => label,
             _ => 0,
         };
         let labels = front.splats.iter().zip(&front.alpha.data).map(label).collect();
@@ -149,7 +149,7 @@ impl SceneTree {
                 break;
             }
             let (tree, node) = group.nodes[0];
-            if held[tree][node as usize] > f64::from(SHARED * group.area) {
+            if held[tree][node as usize] > f64::from(MAX_SHARED * group.area) {
                 continue;
             }
             let number = groups.len() as u8 + 1;
@@ -175,7 +175,7 @@ impl SceneTree {
 fn likely(number: usize, tree: &GroupTree) -> impl Iterator<Item = GroupCandidate> + '_ {
     let merges = &tree.merges;
     let n = merges.len();
-    let large = |node: usize| tree.groups[node].area >= LEAST_AREA;
+    let large = |node: usize| tree.groups[node].area >= MIN_AREA;
     let gap = |node: usize| merges.height[merges.parent[node] as usize] - merges.height[node];
     let own = |node: usize| if large(node) { gap(node) } else { 0.0 };
     // The widest gap from each node's largest part to it, and from it to the root.
@@ -193,10 +193,14 @@ fn likely(number: usize, tree: &GroupTree) -> impl Iterator<Item = GroupCandidat
         above[node] = if parent == node { own(node) } else { own(node).max(above[parent]) };
     }
     let average = TREES[number].1 == Growth::Average;
-    (0..n).filter(move |&node| large(node) && tree.groups[node].area <= SCENE).filter_map(move |node| {
+    (0..n).filter(move |&node| large(node) && tree.groups[node].area <= SCENE_AREA).filter_map(move |node| {
         let widest = below[node].max(above[node]).max(1e-9);
         let score = expected(tree, node as u32, gap(node) / widest, average);
         let area = tree.groups[node].area;
-        (score >= LEAST_EXPECTED).then(|| GroupCandidate { nodes: vec![(number, node as u32)], score, area })
+        (score >= MIN_EXPECTED_IOU).then(|| GroupCandidate {
+            nodes: vec![(number, node as u32)],
+            score,
+            area,
+        })
     })
 }

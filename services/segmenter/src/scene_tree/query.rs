@@ -5,19 +5,19 @@ use super::{GroupTree, NONE, SceneTree};
 use crate::ClickHit;
 
 /// Candidates that a query answers with, at most.
-const MOST: usize = 2;
+const MAX_CANDIDATES: usize = 2;
 
 /// Two candidates differ in area by at least this factor.
-const APART: f32 = 1.5;
+const MIN_AREA_RATIO: f32 = 1.5;
 
 /// Expected IoU that a candidate of another granularity must have more, per whole range of sizes.
-const SIZE_WEIGHT: f32 = 2.0;
+const GRANULARITY_WEIGHT: f32 = 2.0;
 
 /// Share of all light under which a group is no candidate.
-pub(super) const LEAST_AREA: f32 = 0.002;
+pub(super) const MIN_AREA: f32 = 0.002;
 
 /// Share of all light from which a group is the scene rather than a thing in it.
-pub(crate) const SCENE: f32 = 0.5;
+pub(crate) const SCENE_AREA: f32 = 0.5;
 
 /// Expected IoU of a group with what a click means: a linear fit over the groups that hold 180 random clicks on nine objects of
 /// eight captured scenes and 110 on two synthetic ones (docs/experiments/2026-11-28-scene-tree.md). Groups that the photos'
@@ -47,7 +47,7 @@ const EXPECTED: Expected = Expected {
 };
 
 /// Added to the normalised cut before its logarithm is taken.
-const LEAST_CUT: f32 = 1e-3;
+const CUT_FLOOR: f32 = 1e-3;
 
 /// Leaves that clicks hit.
 #[derive(Clone, Copy, Debug)]
@@ -112,7 +112,7 @@ impl SceneTree {
             let position = (c.area.ln() - least) / (most - least).max(1e-6);
             (position - granularity).abs()
         };
-        let worth = |c: &GroupCandidate| c.score - SIZE_WEIGHT * far(c);
+        let worth = |c: &GroupCandidate| c.score - GRANULARITY_WEIGHT * far(c);
         found.sort_by(|a, b| worth(b).total_cmp(&worth(a)).then(a.nodes.cmp(&b.nodes)));
         apart(found)
     }
@@ -129,7 +129,7 @@ impl SceneTree {
             let gap = |node: u32| {
                 merges.height[merges.parent[node as usize] as usize] - merges.height[node as usize]
             };
-            let large = |node: &u32| tree.groups[*node as usize].area >= LEAST_AREA;
+            let large = |node: &u32| tree.groups[*node as usize].area >= MIN_AREA;
             let widest = chain.iter().filter(|n| large(n)).map(|&n| gap(n)).fold(1e-9, f32::max);
             for &node in chain.iter().filter(|n| large(n)).take_while(|n| refused.is_none_or(|r| **n < r)) {
                 let average = TREES[number].1 == Growth::Average;
@@ -162,8 +162,9 @@ impl SceneTree {
 fn apart(found: Vec<GroupCandidate>) -> Vec<GroupCandidate> {
     let mut kept: Vec<GroupCandidate> = Vec::new();
     for candidate in found {
-        let apart = |k: &GroupCandidate| k.area.max(candidate.area) >= APART * k.area.min(candidate.area);
-        if kept.len() < MOST && kept.iter().all(apart) {
+        let apart =
+            |k: &GroupCandidate| k.area.max(candidate.area) >= MIN_AREA_RATIO * k.area.min(candidate.area);
+        if kept.len() < MAX_CANDIDATES && kept.iter().all(apart) {
             kept.push(candidate);
         }
     }
@@ -179,7 +180,7 @@ pub(super) fn expected(tree: &GroupTree, node: u32, gap: f32, average: bool) -> 
         + e.log_area * log_area
         + e.log_area_squared * log_area * log_area
         + e.root_frame * group.frame.max(0.0).sqrt()
-        + e.log_cut * (group.cut + LEAST_CUT).ln()
+        + e.log_cut * (group.cut + CUT_FLOOR).ln()
         + e.gap * gap
         + e.nearer * group.nearer.max(0.0)
         + e.average * f32::from(u8::from(average))
