@@ -9,12 +9,15 @@ use segwild_scene::{Camera, Image, Mask, Pose, Splats};
 /// Alpha below which a rasteriser skips a splat (method, section 1).
 const ALPHA_MIN: f32 = 1.0 / 255.0;
 
-/// Pixels added to a splat's footprint when its vote is formed: splats much smaller than a pixel carry
-/// little information about where a boundary runs.
+/// Pixels `l_0` added to a splat's footprint when its vote is formed (method, section 6.1): splats much smaller than a pixel
+/// carry little information about where a boundary runs. By choice. IoU by half, half more: +.006, 0 on `sacre_coeur`; 0, +.002
+/// on the demo.
 const VOTE_FLOOR: f32 = 1.0;
 
-/// Where a photo sees a share of a splat's light, its evidence counts as known by that share to this power. A tenth that
-/// shows beside something else determines the side of that tenth, and little of the rest.
+/// Exponent `q` of coverage evidence (method, section 6.1): where a photo sees a share of a splat's light, its evidence counts
+/// as known by that share to this power. A tenth that shows beside something else determines the side of that tenth, and little
+/// of the rest. From docs/experiments/2026-11-26-small-coverage.md. IoU by half, half more: +.005, +.005 on `sacre_coeur`;
+/// -.026, +.018 on the demo.
 const COVERAGE_EXPONENT: f32 = 1.5;
 
 /// Evidence for and against each splat, summed over views. The unit is a view: one that sees a splat whole

@@ -6,12 +6,15 @@
 
 use segwild_scene::{Image, Mask, box_mean};
 
-/// Half width of the window of neighbours, as a share of the photo's diagonal; the box filter is applied twice.
+/// Half width of the window of neighbours, as a share of the photo's diagonal; the box filter is applied twice (method, section
+/// 6.4). By choice. IoU by half, half more: 0, -.002 on `sacre_coeur`; 0, 0 on the demo.
 const WINDOW: f32 = 0.008;
-/// Share of sky around an empty pixel from which it surely stands before the sky. Before ground or sea without splats, an empty
-/// pixel is no evidence.
+/// Share `z_0` of sky around an empty pixel from which it surely stands before the sky (method, section 6.4). Before ground or
+/// sea without splats, an empty pixel is no evidence. By choice. IoU by half, half more: 0, 0 on `sacre_coeur`; +.001, 0 on the
+/// demo.
 const SKY_SHARE: f32 = 0.25;
-/// Least accumulated alpha of the splats around a pixel that can decide it.
+/// Least accumulated alpha `A` of the splats around a pixel that can decide it (method, section 6.4). By choice. Half and half
+/// more move IoU by less than .0005.
 const MIN_ALPHA_AROUND: f32 = 0.02;
 
 /// Completes the prior of a photo's pixels where splats are missing: `certainty` and `alpha`, as rendered, are one plane

@@ -7,10 +7,11 @@ use segwild_raster::Channels;
 use segwild_scene::{Image, Mask, Prompts, ScoredMask};
 use segwild_vision::{PromptSegmenter, VisionError};
 
-/// What the tree says of each splat counts as much as so many photos that see it whole.
+/// Votes and coverage evidence of the scene tree on each splat (method, section 13): those of so many photos that see it whole.
+/// One photo's, for the tree is one opinion. Half and half more changed no measured click.
 const TREE_VOTE: f32 = 1.0;
 
-/// Share of a pixel that a group must make up to show in it.
+/// Share of some pixel that a group must make up to show in a photo. By choice. Half and half more changed no measured click.
 const MIN_GROUP_SHARE: f32 = 0.5;
 
 /// Something that clicks may mean.

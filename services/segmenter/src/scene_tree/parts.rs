@@ -10,13 +10,13 @@ use segwild_scene::{Mask, Splats};
 /// Parts that a scene is listed as, at most: file formats hold their numbers as bytes.
 pub const MOST_PARTS: usize = 99;
 
-/// Share of a group that likelier parts may hold; what they hold is theirs.
+/// Share of a group that likelier parts may hold (method, section 13); what they hold is theirs. By choice; for the list alone.
 const MAX_SHARED: f32 = 0.1;
 
-/// Least expected IoU of a part with a thing.
+/// Least expected IoU of a part with a thing (method, section 13). By choice; for the list alone.
 const MIN_EXPECTED_IOU: f32 = 0.25;
 
-/// Accumulated alpha under which a pixel shows no part.
+/// Accumulated alpha `A` under which a pixel shows no part (method, section 13). By choice; for the list alone.
 const MIN_PART_ALPHA: f32 = 0.5;
 
 /// The parts of a scene, the likeliest things first. They are numbered from 1.

@@ -7,21 +7,24 @@ use crate::ClickHit;
 /// Candidates that a query answers with, at most.
 const MAX_CANDIDATES: usize = 2;
 
-/// Two candidates differ in area by at least this factor.
+/// Two candidates differ in area by at least this factor. By choice; it orders alternatives only.
 const MIN_AREA_RATIO: f32 = 1.5;
 
-/// Expected IoU that a candidate of another granularity must have more, per whole range of sizes.
+/// Expected IoU `lambda_g` that a candidate of another granularity must have more, per whole range of sizes (method, section
+/// 13). By choice; it counts where a prompt has a granularity.
 const GRANULARITY_WEIGHT: f32 = 2.0;
 
-/// Share of all light under which a group is no candidate.
+/// Share of all light under which a group is no candidate (method, section 13). By choice. Half and half more changed no
+/// measured click.
 pub(super) const MIN_AREA: f32 = 0.002;
 
-/// Share of all light from which a group is the scene rather than a thing in it.
+/// Share of all light from which a group is the scene rather than a thing in it (method, section 13). From
+/// docs/experiments/2026-11-28-scene-tree.md. Half and half more changed no measured click.
 pub(crate) const SCENE_AREA: f32 = 0.5;
 
-/// Expected IoU of a group with what a click means: a linear fit over the groups that hold 180 random clicks on nine objects of
-/// eight captured scenes and 110 on two synthetic ones (docs/experiments/2026-11-28-scene-tree.md). Groups that the photos'
-/// frames cut off are hardly things.
+/// Expected IoU of a group with what a click means (method, section 13): a linear fit over the groups that hold 180 random
+/// clicks on nine objects of eight captured scenes and 110 on two synthetic ones (docs/experiments/2026-11-28-scene-tree.md).
+/// Groups that the photos' frames cut off are hardly things.
 struct Expected {
     constant: f32,
     log_area: f32,
@@ -46,7 +49,7 @@ const EXPECTED: Expected = Expected {
     rim: 0.023,
 };
 
-/// Added to the normalised cut before its logarithm is taken.
+/// Added to the normalised cut before its logarithm is taken; part of the fit. Half and half more changed no measured click.
 const CUT_FLOOR: f32 = 1e-3;
 
 /// Leaves that clicks hit.
