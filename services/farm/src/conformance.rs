@@ -87,8 +87,8 @@ pub enum ConformanceFailure {
     #[error("{0} is given nothing")]
     NothingGiven(String),
     /// A job is given to a worker that should get none.
-    #[error("{when}, `{job}` is given away")]
-    GivenAway {
+    #[error("{when}, `{job}` is given")]
+    GivenInVain {
         /// When.
         when: String,
         /// The job.
@@ -176,7 +176,7 @@ fn claim(engine: &dyn JobEngine, worker: &str) -> Result<JobLease, ConformanceFa
 fn nothing(engine: &dyn JobEngine, when: &str) -> Result<(), ConformanceFailure> {
     match engine.claim(&offer("anybody"))? {
         None => Ok(()),
-        Some(lease) => Err(ConformanceFailure::GivenAway { when: when.to_owned(), job: lease.job.id }),
+        Some(lease) => Err(ConformanceFailure::GivenInVain { when: when.to_owned(), job: lease.job.id }),
     }
 }
 

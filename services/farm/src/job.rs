@@ -84,3 +84,14 @@ pub struct Job {
     /// How often it is tried.
     pub retry: Retry,
 }
+
+/// Needs in words: `2 cores, 1.0 GiB`.
+pub(crate) fn words(needs: &Needs) -> String {
+    let plural = |n: u32, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+    let mut text = plural(needs.cores, "core");
+    text += &format!(", {:.1} GiB", needs.memory_bytes as f64 / (1u64 << 30) as f64);
+    if needs.accelerators > 0 {
+        text += &format!(", {}", plural(needs.accelerators, "accelerator"));
+    }
+    text
+}

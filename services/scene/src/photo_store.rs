@@ -1,4 +1,4 @@
-//! The photos of a scene at one size: decoded in one place, once for all who need a photo at about the same time.
+//! The photos of a scene at one size: decoded once for all who need a photo at about the same time.
 //!
 //! The stages of a run need the same photos at different times: for the sky, the embedding, the masks, the training, the
 //! scene tree, the evaluation. All of them read through one store.

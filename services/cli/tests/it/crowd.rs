@@ -60,7 +60,8 @@ fn a_crowd_of_idle_connections_does_not_end_a_run() {
 
 fn manifest(dir: &Path) -> String {
     let file = dir.join("places.toml");
-    let settings = format!("settings = {{ size = 96, steps = {STEPS}, refine_steps = 4, prompt_budget = 24 }}");
+    let settings =
+        format!("settings = {{ size = 96, steps = {STEPS}, refine_steps = 4, prompt_budget = 24 }}");
     let scene = scene().display();
     let text =
         format!("[defaults]\nattempts = 1\n{settings}\n[[scene]]\nname = \"one\"\npath = \"{scene}\"\n");

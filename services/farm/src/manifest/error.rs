@@ -5,10 +5,8 @@ use std::path::PathBuf;
 use segwild_pipeline::SettingsError;
 use segwild_scene::text::TextError;
 
-use super::file::MemorySizeError;
 use super::run_folders::FolderTaken;
-use super::words;
-use crate::job::Needs;
+use crate::job::{Needs, words};
 
 /// Why a manifest cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -123,3 +121,8 @@ pub enum SceneEntryError {
     #[error(transparent)]
     Record(#[from] serde_json::Error),
 }
+
+/// A text that is no amount of memory.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is no amount of memory: write `512 MiB` or `8 GiB`")]
+pub struct MemorySizeError(pub(super) String);

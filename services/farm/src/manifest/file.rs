@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use segwild_pipeline::Until;
 use serde::Deserialize;
 
-use super::error::SceneEntryError;
+use super::error::{MemorySizeError, SceneEntryError};
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -67,11 +67,6 @@ impl Size {
         }
     }
 }
-
-/// A text that is no amount of memory.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no amount of memory: write `512 MiB` or `8 GiB`")]
-pub struct MemorySizeError(String);
 
 /// Reads `512 MiB`, `2.5 GB`, `1000000`.
 fn read_size(text: &str) -> Result<u64, MemorySizeError> {

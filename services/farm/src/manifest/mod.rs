@@ -35,8 +35,7 @@ use segwild_flow::files::name;
 use segwild_pipeline::{MemoryNeed, Settings, SettingsError, Until};
 use serde::{Deserialize, Serialize};
 
-pub use self::error::{ManifestError, ManifestFileError, SceneEntryError};
-pub use self::file::MemorySizeError;
+pub use self::error::{ManifestError, ManifestFileError, MemorySizeError, SceneEntryError};
 use self::file::{File, settings};
 pub use self::run_folders::FolderTaken;
 use self::run_folders::RunFolders;
@@ -205,17 +204,6 @@ fn memory(
         return Err(SceneEntryError::Memory { need: need.to_string(), whose, given_mib: given >> 20 });
     }
     Ok(declared.unwrap_or(share.min(most).max(least)))
-}
-
-/// Needs in words: `2 cores, 1.0 GiB`.
-pub(crate) fn words(needs: &Needs) -> String {
-    let plural = |n: u32, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
-    let mut text = plural(needs.cores, "core");
-    text += &format!(", {:.1} GiB", needs.memory_bytes as f64 / (1u64 << 30) as f64);
-    if needs.accelerators > 0 {
-        text += &format!(", {}", plural(needs.accelerators, "accelerator"));
-    }
-    text
 }
 
 #[cfg(test)]
