@@ -5,6 +5,7 @@
 //! appearance, feature field) is in `segwild-objective`; the accelerator's implementation is in `segwild-gpu`.
 //!
 //! ```
+//! use glam::Vec3;
 //! use segwild_raster::{Channels, CpuEngine, ProjectOptions, Rasterizer};
 //! use segwild_scene::{Camera, Pose, Splats};
 //!
@@ -13,12 +14,13 @@
 //!     log_scales: vec![[-2.0; 3]],
 //!     rotations: vec![[1.0, 0.0, 0.0, 0.0]],
 //!     opacities: vec![4.0],
-//!     sh: vec![[0.5; 3]],
+//!     sh: vec![0.5; 3],
 //!     ..Splats::default()
 //! };
 //! let camera = Camera { width: 32, height: 24, fx: 30.0, fy: 30.0, cx: 16.0, cy: 12.0 };
+//! let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
 //! let engine = CpuEngine::new();
-//! let view = engine.project(&splats, &camera, &Pose::IDENTITY, &ProjectOptions::default())?;
+//! let view = engine.project(&splats, &camera, &pose, &ProjectOptions::default())?;
 //! let frame = view.blend(&Channels { count: 3, values: &view.shade() })?;
 //! // The splat covers the centre, and no corner.
 //! assert!(frame.alpha.data[12 * 32 + 16] > 0.9 && frame.alpha.data[0] == 0.0);

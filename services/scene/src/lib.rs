@@ -12,13 +12,14 @@
 //! It holds no algorithm of training or selection, and decides nothing: it says what files mean.
 //!
 //! ```
+//! use glam::Vec3;
 //! use segwild_scene::{Camera, Mask, Pose};
 //!
 //! let camera = Camera { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
 //! // A photo is seen at the size that a stage works at.
 //! assert_eq!(camera.scaled_to(32).width, 32);
-//! let ahead = Pose::IDENTITY.to_camera([0.0, 0.0, 2.0].into());
-//! assert_eq!(ahead.z, 2.0);
+//! let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
+//! assert!((pose.to_camera(Vec3::new(0.0, 0.0, 2.0)).z - 2.0).abs() < 1e-6);
 //! let left = Mask::from_fn(64, 48, |x, _| x < 32);
 //! assert_eq!(left.count(), 32 * 48);
 //! ```
