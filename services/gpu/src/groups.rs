@@ -1,4 +1,4 @@
-//! Sizes of thread groups, of tiles, and of the channels that pass through them at once.
+//! Sizes of thread groups and of tiles.
 
 /// Threads of a group that does one item per thread.
 pub(crate) const GROUP: usize = 256;
