@@ -2,6 +2,7 @@
 
 use crate::frame::interleaved;
 use crate::kernel_check::KernelCheck;
+use crate::mismatch::Mismatch;
 use crate::tolerance::Tolerance;
 use glam::Vec3;
 use segwild_gpu::GpuEngine;
@@ -199,8 +200,8 @@ pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<KernelCh
     let shown = shown(test_case);
     let residual = host::mean_difference(&shown, &target.image());
     let mut checked = Vec::new();
-    let mut add = |kernels, off: Result<(), String>| {
-        checked.push(KernelCheck { kernels, off: off.err().map(|off| format!("{}: {off}", test_case.name)) });
+    let mut add = |kernels, off: Result<(), Mismatch>| {
+        checked.push(KernelCheck { kernels, off: off.err().map(|off| off.of_case(test_case.name)) });
     };
     let planes = [shown.plane(0), shown.plane(1), shown.plane(2), &residual];
     let packed: Vec<f32> = (0..residual.len()).flat_map(|i| planes.map(|plane| plane[i])).collect();

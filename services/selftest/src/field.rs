@@ -3,6 +3,7 @@
 use crate::feature_case::FeatureCase;
 use crate::frame::{SIZE, SPLATS};
 use crate::kernel_check::KernelCheck;
+use crate::mismatch::Mismatch;
 use crate::tolerance::Tolerance;
 use segwild_gpu::GpuEngine;
 use segwild_gpu::probe::{FieldGradients, RowSteps};
@@ -39,7 +40,7 @@ pub fn field(engine: &GpuEngine, view: &dyn Projected) -> Result<Vec<KernelCheck
 
 /// Compares an optimiser step of rows and the sums of a view, of more numbers than are blended at once, with the host's
 /// from the same gradients.
-fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, RasterError> {
+fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), Mismatch>, RasterError> {
     const ROW: usize = 20;
     let random = &mut Random::new(6);
     let values: Vec<f32> = (0..ROW * SPLATS).map(|_| random.uniform() - 0.5).collect();
@@ -86,7 +87,7 @@ fn resemblance(
     engine: &GpuEngine,
     channels: usize,
     queries: usize,
-) -> Result<Result<(), String>, RasterError> {
+) -> Result<Result<(), Mismatch>, RasterError> {
     let random = &mut Random::new(10);
     let mut many = |n: usize| (0..n).map(|_| random.uniform() - 0.5).collect::<Vec<f32>>();
     let mut values = many(channels * SPLATS);
@@ -108,7 +109,7 @@ fn resemblance(
     kept.bring(engine)?;
     let got = engine.similarity(&kept, &queries)?;
     Ok(got
-        .ok_or("nothing was kept".into())
+        .ok_or(Mismatch::NotKept)
         .and_then(|got| Tolerance::PROJECTED.compare("similarity of rows to the queries", &got, &wanted)))
 }
 
@@ -118,7 +119,7 @@ fn compared(
     engine: &GpuEngine,
     rule: FieldRule,
     pairs: bool,
-) -> Result<Result<(), String>, RasterError> {
+) -> Result<Result<(), Mismatch>, RasterError> {
     let random = &mut Random::new(7);
     let mut right = case.refining(vec![0.0; case.channels], rule);
     let mut on_device = FieldGradients::upload(engine, &right)?;
@@ -151,17 +152,17 @@ fn compared(
 }
 
 /// Compares numbers that may be NaN, in both.
-fn alike(tolerance: Tolerance, what: &str, got: &[f32], wanted: &[f32]) -> Result<(), String> {
+fn alike(tolerance: Tolerance, what: &str, got: &[f32], wanted: &[f32]) -> Result<(), Mismatch> {
     let odd = got.iter().zip(wanted).position(|(g, w)| g.is_finite() != w.is_finite());
-    if let Some(i) = odd {
-        return Err(format!("{what}: number {i} is {} where {} is right", got[i], wanted[i]));
+    if let Some(index) = odd {
+        return Err(Mismatch::Number { what: what.into(), index, got: got[index], wanted: wanted[index] });
     }
     let some = |numbers: &[f32]| numbers.iter().copied().filter(|v| v.is_finite()).collect::<Vec<_>>();
     tolerance.compare(what, &some(got), &some(wanted))
 }
 
 /// Compares features after some steps of refinement with the host's from the same views.
-fn steps(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), String>, RasterError> {
+fn steps(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), Mismatch>, RasterError> {
     let case =
         FeatureCase { size: SIZE, channels: 20, decoded: Some(30), grid: [24, 17], pixels: 200, masks: 12 };
     let random = &mut Random::new(9);

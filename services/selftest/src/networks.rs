@@ -74,10 +74,9 @@ pub fn networks(
         let view = NetworkView { splats, camera, pose };
         let found = lighting(engine, &appearance, &view, draw)?;
         checked.extend(
-            found.into_iter().map(|checked| KernelCheck {
-                off: checked.off.map(|off| format!("{name}: {off}")),
-                ..checked
-            }),
+            found
+                .into_iter()
+                .map(|checked| KernelCheck { off: checked.off.map(|off| off.of_case(name)), ..checked }),
         );
     }
     // Kernels without a difference are listed once.

@@ -2,6 +2,7 @@
 
 use crate::frame::interleaved;
 use crate::kernel_check::KernelCheck;
+use crate::mismatch::Mismatch;
 use crate::tolerance::Tolerance;
 use segwild_gpu::GpuEngine;
 use segwild_gpu::probe::{TrainedStep, training_step};
@@ -113,7 +114,7 @@ pub fn training(
     };
     let (shapes, coloured) = (all(&shapes), all(&coloured));
     let reshaped = reshaped(engine, held)?;
-    let off = |kernels, off: Result<(), String>| KernelCheck { kernels, off: off.err() };
+    let off = |kernels, off: Result<(), Mismatch>| KernelCheck { kernels, off: off.err() };
     Ok(if light.is_some() {
         // The splats without embeddings have checked the other kernels.
         let rest = tinted().and(coloured).and(sums).and(shapes);
@@ -134,7 +135,7 @@ pub fn training(
 }
 
 /// Compares splats after a possible density control: some removed, some duplicated, some with moments reset.
-fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), String>, RasterError> {
+fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), Mismatch>, RasterError> {
     let random = &mut Random::new(25);
     let n = held.splats.len();
     let parents: Vec<usize> = (0..n).filter(|i| i % 5 != 2).chain((0..n).step_by(3)).collect();
@@ -182,9 +183,9 @@ fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), String>, Raste
     }
     let got = on_device.fetch()?;
     Ok(if shapes_before != (held.splats.uncoloured(), held.sums.clone()) {
-        Err("shapes and sums: they changed on the device".into())
+        Err(Mismatch::Changed)
     } else if got != wanted {
-        Err(format!("{n} splats, reshaped: the numbers of some are another's"))
+        Err(Mismatch::Reshaped { splats: n })
     } else {
         Ok(())
     })

@@ -2,6 +2,7 @@
 
 use crate::frame::{OPTIONS, SIZE, scene};
 use crate::kernel_check::KernelCheck;
+use crate::mismatch::{ListMismatch, Mismatch};
 use crate::tolerance::Tolerance;
 use segwild_gpu::GpuEngine;
 use segwild_gpu::probe::{ViewLists, view_lists};
@@ -16,7 +17,7 @@ const ALONE: usize = 40;
 /// Compares the kernels that render a view, and those of its backward pass.
 pub fn check_view(engine: &GpuEngine) -> Result<Vec<KernelCheck>, RasterError> {
     let mut checked = Vec::new();
-    let mut add = |kernels, off: Result<(), String>| checked.push(KernelCheck { kernels, off: off.err() });
+    let mut add = |kernels, off: Result<(), Mismatch>| checked.push(KernelCheck { kernels, off: off.err() });
     let (splats, camera, pose) = scene();
     let lists = Lists::of(view_lists(engine, &splats, &camera, &pose, &OPTIONS)?);
     let cpu = CpuEngine::new();
@@ -27,11 +28,11 @@ pub fn check_view(engine: &GpuEngine) -> Result<Vec<KernelCheck>, RasterError> {
         let alone = splats.select(&[i]);
         let alone = cpu.project(&alone, &camera, &pose, &OPTIONS)?;
         let alpha = alone.blend(&Channels { count: 0, values: &[] })?.alpha;
-        footprints = footprints.and_then(|()| lists.shape(i, &alpha));
+        footprints = footprints.and_then(|()| Ok(lists.shape(i, &alpha)?));
     }
     add(&["project"], footprints);
-    add(&["order", "emit", "ranges"], lists.tiles_are_right());
-    add(&["bucket_count", "buckets"], lists.buckets_are_right());
+    add(&["order", "emit", "ranges"], lists.tiles_are_right().map_err(Mismatch::from));
+    add(&["bucket_count", "buckets"], lists.buckets_are_right().map_err(Mismatch::from));
     let mut random = Random::new(5);
     let values: Vec<f32> = (0..3 * splats.len()).map(|_| random.uniform() - 0.5).collect();
     let channels = Channels { count: 3, values: &values };
@@ -54,11 +55,11 @@ pub fn check_view(engine: &GpuEngine) -> Result<Vec<KernelCheck>, RasterError> {
 }
 
 /// Compares projections: which splats are seen, and of those seen by both how far, how large and where.
-pub fn projected(got: &dyn Projected, wanted: &dyn Projected) -> Result<(), String> {
+pub fn projected(got: &dyn Projected, wanted: &dyn Projected) -> Result<(), Mismatch> {
     let (a, b) = (got.radii(), wanted.radii());
     let other: Vec<usize> = (0..b.len()).filter(|&i| (a[i] > 0.0) != (b[i] > 0.0)).collect();
     if other.len() * 100 > b.len() {
-        return Err(format!("culled by one engine only: {other:?}"));
+        return Err(Mismatch::Culled(other));
     }
     let seen: Vec<usize> = (0..b.len()).filter(|&i| a[i] > 0.0 && b[i] > 0.0).collect();
     let of = |values: &[f32]| seen.iter().map(|&i| values[i]).collect::<Vec<_>>();
@@ -70,7 +71,7 @@ pub fn projected(got: &dyn Projected, wanted: &dyn Projected) -> Result<(), Stri
 }
 
 /// Compares gradients, each array by its name.
-pub fn gradients(got: &SplatGrads, wanted: &SplatGrads) -> Result<(), String> {
+pub fn gradients(got: &SplatGrads, wanted: &SplatGrads) -> Result<(), Mismatch> {
     type GradArray = fn(&SplatGrads) -> &[f32];
     let arrays: [(&str, GradArray); 7] = [
         ("means", |g| g.means.as_flattened()),
@@ -117,41 +118,41 @@ impl Lists {
     }
 
     /// Compares a splat with a render of it alone.
-    fn shape(&self, splat: usize, alone: &Image) -> Result<(), String> {
-        for (k, &wanted) in alone.data.iter().enumerate() {
-            let found = self.alpha(splat, k % alone.width, k / alone.width);
+    fn shape(&self, splat: usize, alone: &Image) -> Result<(), ListMismatch> {
+        for (pixel, &wanted) in alone.data.iter().enumerate() {
+            let got = self.alpha(splat, pixel % alone.width, pixel / alone.width);
             // Next to the cut-off one may be blended and the other not.
-            if (found - wanted).abs() > 1e-3 && (found > 1.1 * ALPHA_MIN || wanted > 1.1 * ALPHA_MIN) {
-                return Err(format!("splat {splat} covers pixel {k} by {found} where {wanted} is right"));
+            if (got - wanted).abs() > 1e-3 && (got > 1.1 * ALPHA_MIN || wanted > 1.1 * ALPHA_MIN) {
+                return Err(ListMismatch::Opacity { splat, pixel, got, wanted });
             }
         }
         Ok(())
     }
 
     /// Whether each tile has the splats that reach it, each once, nearest first.
-    fn tiles_are_right(&self) -> Result<(), String> {
+    fn tiles_are_right(&self) -> Result<(), ListMismatch> {
         let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
         let side = ViewLists::TILE;
         let columns = width.div_ceil(side);
         for (tile, &[from, to, ..]) in self.tiles.iter().enumerate() {
             let Some(entries) = self.entries.get(from as usize..to as usize) else {
-                return Err(format!("tile {tile} has entries {from} to {to} of {}", self.entries.len()));
+                return Err(ListMismatch::Entries { tile, from, to, entries: self.entries.len() });
             };
             let splats: Vec<usize> = entries.iter().map(|e| e[0] as usize).collect();
-            if let Some(odd) = splats.iter().find(|&&i| i >= self.depths.len()) {
-                return Err(format!("tile {tile} has splat {odd} of {}", self.depths.len()));
+            if let Some(&splat) = splats.iter().find(|&&i| i >= self.depths.len()) {
+                return Err(ListMismatch::NoSplat { tile, splat, splats: self.depths.len() });
             }
             if let Some(pair) = splats.windows(2).find(|w| self.depths[w[0]] > self.depths[w[1]]) {
-                return Err(format!("tile {tile} has splat {} before the nearer {}", pair[0], pair[1]));
+                return Err(ListMismatch::Order { tile, first: pair[0], nearer: pair[1] });
             }
             let (left, top) = (tile % columns * side, tile / columns * side);
             for splat in 0..self.depths.len() {
-                let listed = splats.iter().filter(|&&i| i == splat).count();
+                let times = splats.iter().filter(|&&i| i == splat).count();
                 let mut pixels = (top..height.min(top + side))
                     .flat_map(|y| (left..width.min(left + side)).map(move |x| (x, y)));
                 let reaches = pixels.any(|(x, y)| self.alpha(splat, x, y) > 1.01 * ALPHA_MIN);
-                if listed > 1 || (reaches && listed == 0) {
-                    return Err(format!("tile {tile} has splat {splat} {listed} times where once is right"));
+                if times > 1 || (reaches && times == 0) {
+                    return Err(ListMismatch::Times { tile, splat, times });
                 }
             }
         }
@@ -159,15 +160,15 @@ impl Lists {
     }
 
     /// Whether buckets hold each tile's entries, all of them, in order.
-    fn buckets_are_right(&self) -> Result<(), String> {
+    fn buckets_are_right(&self) -> Result<(), ListMismatch> {
         let mut wanted = Vec::new();
         for (tile, &[from, to, first, _]) in self.tiles.iter().enumerate() {
             if from < to && first as usize != wanted.len() {
-                return Err(format!("tile {tile} has bucket {first} first where {} is right", wanted.len()));
+                return Err(ListMismatch::FirstBucket { tile, first, wanted: wanted.len() });
             }
             // A faulty device may return anything.
             if to as usize > self.entries.len() {
-                return Err(format!("tile {tile} ends at entry {to} of {}", self.entries.len()));
+                return Err(ListMismatch::End { tile, to, entries: self.entries.len() });
             }
             let entries = (from..to).step_by(ViewLists::BUCKET);
             wanted.extend(
@@ -176,9 +177,12 @@ impl Lists {
         }
         wanted.resize(self.buckets.len().max(wanted.len()), [0; 4]);
         match self.buckets.iter().zip(&wanted).position(|(found, wanted)| found != wanted) {
-            Some(i) => Err(format!("bucket {i} is {:?} where {:?} is right", self.buckets[i], wanted[i])),
+            Some(bucket) => {
+                let (got, wanted) = (self.buckets[bucket], wanted[bucket]);
+                Err(ListMismatch::Bucket { bucket, got, wanted })
+            }
             None if self.buckets.len() < wanted.len() => {
-                Err(format!("{} buckets are missing", wanted.len() - self.buckets.len()))
+                Err(ListMismatch::Buckets(wanted.len() - self.buckets.len()))
             }
             None => Ok(()),
         }

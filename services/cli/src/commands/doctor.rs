@@ -117,10 +117,10 @@ fn kernels(adapter: &str, json: bool) -> Result<(), Failure> {
     let name = &engine.adapter().name;
     let checked = check(&engine).map_err(|e| Failure { message: e.to_string(), code: exit::FAILED })?;
     for step in &checked {
-        let names = step.kernels.join(", ");
+        let (names, off) = (step.kernels.join(", "), step.off.as_ref().map(ToString::to_string));
         match json {
-            true => print_json(&serde_json::json!({ "kernels": step.kernels, "off": step.off }))?,
-            false => print_line(&format!("{names:>26}  {}", step.off.as_deref().unwrap_or("as on the CPU")))?,
+            true => print_json(&serde_json::json!({ "kernels": step.kernels, "off": off }))?,
+            false => print_line(&format!("{names:>26}  {}", off.as_deref().unwrap_or("as on the CPU")))?,
         }
     }
     match checked.iter().find(|step| step.off.is_some()) {
