@@ -66,14 +66,14 @@ pub use session::prompts::{ObjectQuery, PhotoPrompts, Replay};
 
 pub use run::{
     ActorInboxes, ActorOutcome, ActorParts, ComputingActors, DiagramFormat, Extent, MemoryNeed, Need,
-    RunOptions, Stage, StagePlan, StageVerdict, Summary, Until, Wiring, diagram, explain, needs, run,
-    run_with_actors, stages_of,
+    RunOptions, Stage, StagePlan, StageVerdict, Summary, Until, UntilError, Wiring, diagram, explain, needs,
+    run, run_with_actors, stages_of,
 };
 pub use segwild_segmenter::AnswerStep;
 pub use segwild_trainer::{AppearanceChoice, BudgetChoice, Preset};
 pub use session::{
-    Answer, PendingAnswer, SegmentOutcome, Selected, Session, SessionOptions, Shortened, ShownParts,
-    ShownScene, segment,
+    Answer, PendingAnswer, SegmentOutcome, Selected, SelectedError, Session, SessionOptions, Shortened,
+    ShownParts, ShownScene, segment,
 };
 pub use settings::{EngineKind, RunBudget, RunSettings, Scoring, Settings, SettingsError, WhenLost, renamed};
 pub use transients::{TrainFit, TransientScore, TransientScores, score_transients};

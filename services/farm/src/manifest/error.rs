@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use segwild_pipeline::SettingsError;
+use segwild_pipeline::{SettingsError, UntilError};
 use segwild_scene::text::TextError;
 
 use super::run_folders::FolderTaken;
@@ -94,7 +94,7 @@ pub enum SceneEntryError {
         /// Where it is to stop.
         until: String,
         /// What is wrong with that.
-        reason: <segwild_pipeline::Until as std::str::FromStr>::Err,
+        reason: UntilError,
     },
     /// Its memory is no amount of memory.
     #[error(transparent)]

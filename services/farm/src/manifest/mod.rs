@@ -210,11 +210,11 @@ fn memory(
 mod tests {
     use super::*;
 
-    fn read(text: &str) -> Result<BatchManifest, String> {
+    fn read(text: &str) -> Result<BatchManifest, ManifestError> {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("batch.toml");
         std::fs::write(&file, text).unwrap();
-        BatchManifest::read(&file, &dir.path().join("out"), None).map_err(|e| e.to_string())
+        BatchManifest::read(&file, &dir.path().join("out"), None)
     }
 
     #[test]
@@ -281,7 +281,7 @@ mod tests {
             (&format!("[[scene]]\npath = \"a\"\nname = \"{}\"\n", "n".repeat(101)), "longer than 100".into()),
             ("[[scene]]\npath = \"a\"\n[[scene]]\npath = \"b/A\"\n", "two scenes of this name".into()),
         ] {
-            let message = read(text).unwrap_err();
+            let message = read(text).unwrap_err().to_string();
             assert!(message.contains("batch.toml") && message.contains(&expected), "{message}");
         }
     }

@@ -40,7 +40,7 @@ pub use need::{Extent, Need};
 pub use options::{RunOptions, Summary};
 pub use outcome::ActorOutcome;
 pub use stage::Stage;
-pub use until::Until;
+pub use until::{Until, UntilError};
 pub use wiring::{ActorInboxes, ActorParts, ComputingActors, Wiring};
 
 use crate::{RunError, RunFolder, Settings};

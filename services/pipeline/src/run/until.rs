@@ -21,17 +21,28 @@ impl Until {
     }
 }
 
-impl FromStr for Until {
-    type Err = String;
+/// Why a text names nothing at which a run can stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum UntilError {
+    /// It is step 0.
+    #[error("there is no step 0: give 1 or more")]
+    StepZero,
+    /// It is neither the name of a stage nor a number.
+    #[error(
+        "neither a stage ({}) nor a number of training steps",
+        Stage::LISTED.map(Stage::name).join(", ")
+    )]
+    Unknown,
+}
 
-    fn from_str(text: &str) -> Result<Until, String> {
+impl FromStr for Until {
+    type Err = UntilError;
+
+    fn from_str(text: &str) -> Result<Until, UntilError> {
         match text.parse::<u32>() {
-            Ok(0) => Err("there is no step 0: give 1 or more".into()),
+            Ok(0) => Err(UntilError::StepZero),
             Ok(step) => Ok(Until::Step(step)),
-            Err(_) => Until::stage(text).ok_or_else(|| {
-                let names = Stage::LISTED.map(Stage::name).join(", ");
-                format!("neither a stage ({names}) nor a number of training steps")
-            }),
+            Err(_) => Until::stage(text).ok_or(UntilError::Unknown),
         }
     }
 }
@@ -54,7 +65,7 @@ mod tests {
         assert_eq!("geometry".parse(), Ok(Until::Stage(Stage::Geometry)));
         assert_eq!("500".parse(), Ok(Until::Step(500)));
         for wrong in ["0", "-3", "geometri", ""] {
-            let message = wrong.parse::<Until>().unwrap_err();
+            let message = wrong.parse::<Until>().unwrap_err().to_string();
             assert!(message.contains("step"), "{message}");
         }
     }

@@ -30,5 +30,5 @@ pub use answer::{Answer, PendingAnswer};
 pub use resident::{Session, SessionOptions};
 pub use save::SegmentOutcome;
 pub use segment::segment;
-pub use selected::{Selected, Shortened};
+pub use selected::{Selected, SelectedError, Shortened};
 pub use viewing::{ShownParts, ShownScene};

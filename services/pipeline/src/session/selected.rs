@@ -2,7 +2,7 @@
 
 use crate::artifacts::intact::Intact;
 use crate::{RunError, RunFolder};
-use segwild_flow::codec;
+use segwild_flow::{CodecError, codec};
 use segwild_scene::Splats;
 use segwild_segmenter::{SpikeCut, SplatGeometry};
 use wincode::{SchemaRead, SchemaWrite};
@@ -32,6 +32,38 @@ pub struct Shortened {
     pub rotation: [f32; 4],
 }
 
+/// Why bytes are no selection of a scene.
+#[derive(Debug, thiserror::Error)]
+pub enum SelectedError {
+    /// They are no record of a selection.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    /// The scene has another number of splats.
+    #[error("it is of another scene: {splats} splats instead of {wanted}")]
+    OtherScene {
+        /// Splats of the selection's scene.
+        splats: usize,
+        /// Splats of this one.
+        wanted: usize,
+    },
+    /// It changes more splats than there are.
+    #[error("it is damaged: {changed} splats of {splats} are shortened")]
+    TooManyChanged {
+        /// Splats that the spike cut changes.
+        changed: usize,
+        /// Splats of the scene.
+        splats: usize,
+    },
+    /// A splat that it changes does not exist, or becomes none.
+    #[error("it is damaged: the shape of splat {splat} of {splats} is none")]
+    NoShape {
+        /// The splat.
+        splat: u32,
+        /// Splats of the scene.
+        splats: usize,
+    },
+}
+
 impl Selected {
     /// The labels and what a cut changes.
     pub(super) fn new(labels: &[bool], cut: &SpikeCut) -> Selected {
@@ -46,17 +78,17 @@ impl Selected {
     }
 
     /// Refuses a record that no cut can have written: it may come from another program.
-    fn check(&self) -> Result<(), String> {
-        let n = self.labels.len();
+    fn check(&self) -> Result<(), SelectedError> {
+        let splats = self.labels.len();
         let sound = |s: &Shortened| {
             let numbers = || s.mean.iter().chain(&s.log_scales).chain(&s.rotation);
-            (s.splat as usize) < n && numbers().all(|x| x.is_finite())
+            (s.splat as usize) < splats && numbers().all(|x| x.is_finite())
         };
         match self.changed.iter().find(|s| !sound(s)) {
-            _ if self.changed.len() > n => {
-                Err(format!("it is damaged: {} splats of {n} are shortened", self.changed.len()))
+            _ if self.changed.len() > splats => {
+                Err(SelectedError::TooManyChanged { changed: self.changed.len(), splats })
             }
-            Some(s) => Err(format!("it is damaged: the shape of splat {} of {n} is none", s.splat)),
+            Some(s) => Err(SelectedError::NoShape { splat: s.splat, splats }),
             None => Ok(()),
         }
     }
@@ -73,13 +105,10 @@ impl Selected {
     ///
     /// # Errors
     /// Why they are none.
-    pub fn from_bytes(bytes: &[u8], splats: usize) -> Result<Selected, String> {
-        let selected: Selected = codec::decode(SELECTION, bytes).map_err(|e| e.to_string())?;
+    pub fn from_bytes(bytes: &[u8], splats: usize) -> Result<Selected, SelectedError> {
+        let selected: Selected = codec::decode(SELECTION, bytes)?;
         if selected.labels.len() != splats {
-            return Err(format!(
-                "it is of another scene: {} splats instead of {splats}",
-                selected.labels.len()
-            ));
+            return Err(SelectedError::OtherScene { splats: selected.labels.len(), wanted: splats });
         }
         selected.check()?;
         Ok(selected)
@@ -115,7 +144,10 @@ impl Selected {
                 "the scene has been trained again since; segment again (`--prompts` replays the clicks)";
             return Err(RunError::Folder { path, reason: reason.into() });
         }
-        selected.check().map_err(|reason| RunError::Folder { path: path.join("selection.bin"), reason })?;
+        selected.check().map_err(|error| RunError::Folder {
+            path: path.join("selection.bin"),
+            reason: error.to_string(),
+        })?;
         Ok(selected)
     }
 }
