@@ -2,6 +2,7 @@
 
 use crate::RunError;
 use segwild_flow::files::name::{beside, shown};
+use segwild_scene::Mask;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -78,9 +79,34 @@ impl ImageFiles {
 }
 
 /// Whether one size is the other scaled: either side of either may be rounded by a pixel.
-pub(crate) fn same_shape(a: (u32, u32), b: (u32, u32)) -> bool {
+fn same_shape(a: (u32, u32), b: (u32, u32)) -> bool {
     let ((w, h), (pw, ph)) = (pair(a), pair(b));
     w > 0.0 && h > 0.0 && (w * ph - h * pw).abs() <= 1.01 * (w.max(h) + pw.max(ph))
+}
+
+/// A mask image of another shape than its photo.
+#[derive(Clone, Debug, thiserror::Error)]
+#[error("{} x {} pixels, which does not fit {photo}'s {} x {}", mask_size.0, mask_size.1, size.0, size.1)]
+pub(crate) struct OtherShape {
+    /// Width and height of the mask in pixels.
+    mask_size: (u32, u32),
+    /// What the photo is called.
+    photo: String,
+    /// Its width and height.
+    size: (u32, u32),
+}
+
+/// Refuses a mask of another shape than its photo's. `photo` is what the error calls the photo, `size` its width and height in
+/// pixels.
+///
+/// # Errors
+/// When neither size is the other scaled.
+pub(crate) fn check_shape(mask: &Mask, photo: &str, size: (u32, u32)) -> Result<(), OtherShape> {
+    let mask_size = (mask.width(), mask.height());
+    match same_shape(mask_size, size) {
+        true => Ok(()),
+        false => Err(OtherShape { mask_size, photo: photo.to_owned(), size }),
+    }
 }
 
 fn pair((w, h): (u32, u32)) -> (f64, f64) {
@@ -168,7 +194,6 @@ pub(crate) fn comment(png: &[u8]) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use segwild_scene::Mask;
 
     #[test]
     fn masks_that_an_earlier_version_left_are_found_where_one_photo_alone_can_have_left_them() {

@@ -5,29 +5,44 @@
 
 use super::scene_tree::tree_key;
 use crate::output::evaluate::protocol_of;
-use crate::run::memory;
-use crate::transients::Corrections;
+use crate::run::memory::{self, TooLargePhoto};
+use crate::transients::{Corrections, UnusableCorrection};
 use crate::{RunError, Settings, Stage, Until};
 use rayon::prelude::*;
 use segwild_features::{Compression, FeatureSettings};
 use segwild_flow::Key;
 use segwild_masks::{MaskSettings, MaskSource};
 use segwild_scene::settings::Group;
-use segwild_scene::{Scene, View};
+use segwild_scene::{Scene, SceneError, View};
 use segwild_trainer::{AppearanceModel, TrainSettings};
 use segwild_vision::Providers;
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 /// Raised when the bytes that a stage makes from the same input change.
 const FORMAT: u32 = 5;
 /// The same for the training, whose rules change most often: skies and embeddings, which cost most, stay.
 const TRAINING: u32 = 10;
 
+/// Why a photo takes no part in a run.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum PhotoRefusal {
+    /// Its file or one of its masks cannot be used.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// Decoding it takes more memory than there is.
+    #[error(transparent)]
+    TooLarge(#[from] TooLargePhoto),
+    /// The corrected mask of its transients cannot be used.
+    #[error(transparent)]
+    Correction(#[from] Arc<UnusableCorrection>),
+}
+
 /// The keys of one run.
 #[derive(Clone, Debug)]
 pub struct Keys {
     /// Per view, the hash of the photo's bytes; the reason where they cannot be read.
-    digests: Vec<Result<String, String>>,
+    digests: Vec<Result<String, Arc<PhotoRefusal>>>,
     /// Per view, its sky.
     pub sky: Vec<Key>,
     /// Per view, its embedding.
@@ -128,7 +143,7 @@ impl End {
 /// The hash of each photo of a scene, or why the photo cannot be used.
 #[derive(Clone, Debug)]
 pub struct Digests {
-    photos: Vec<Result<String, String>>,
+    photos: Vec<Result<String, Arc<PhotoRefusal>>>,
     /// Warnings about photos that can be used.
     pub odd: Vec<String>,
 }
@@ -144,27 +159,23 @@ impl Digests {
         stopping: &(dyn Fn() -> bool + Sync),
     ) -> Result<Digests, RunError> {
         let limit = memory::decoding_limit(settings, scene);
-        let examine = |view: &View| -> Result<(String, Option<String>), String> {
-            if stopping() {
-                return Err("stopped".into());
-            }
-            memory::too_large(settings, view, limit).map_or(Ok(()), Err)?;
-            let digest = photo_digest(view).map_err(|e| e.to_string())?;
-            let odd = view.examine(settings.scene.size).map_err(|e| e.to_string())?;
+        let examine = |view: &View| -> Result<(String, Option<String>), PhotoRefusal> {
+            memory::fits_budget(settings, view, limit)?;
+            let digest = photo_digest(view)?;
+            let odd = view.examine(settings.scene.size)?;
             Ok((digest, odd.map(|odd| format!("photo {}: {odd}", view.name))))
         };
         let (mut photos, mut odd) = (Vec::new(), Vec::new());
-        let all: Vec<_> = scene.views.par_iter().map(examine).collect();
-        if stopping() {
-            return Err(RunError::Interrupted);
-        }
+        let until_stopped = scene.views.par_iter().map(|view| (!stopping()).then(|| examine(view)));
+        let all: Option<Vec<_>> = until_stopped.collect();
+        let all = all.filter(|_| !stopping()).ok_or(RunError::Interrupted)?;
         for examined in all {
             match examined {
                 Ok((digest, words)) => {
                     photos.push(Ok(digest));
                     odd.extend(words);
                 }
-                Err(reason) => photos.push(Err(reason)),
+                Err(refusal) => photos.push(Err(Arc::new(refusal))),
             }
         }
         Ok(Digests { photos, odd })
@@ -173,8 +184,8 @@ impl Digests {
     /// Leaves out the photos whose corrected transient mask cannot be used.
     #[must_use]
     pub fn without(mut self, corrections: &Corrections) -> Digests {
-        for (view, reason) in corrections.unusable() {
-            self.photos[*view] = Err(reason.clone());
+        for (view, unusable) in corrections.unusable() {
+            self.photos[*view] = Err(Arc::new(unusable.clone().into()));
         }
         self
     }
@@ -185,10 +196,10 @@ impl Digests {
     }
 
     /// The reason of the first photo, if none of the photos to train on can be used.
-    pub fn nothing_left(&self, scene: &Scene) -> Option<&str> {
+    pub(crate) fn nothing_left(&self, scene: &Scene) -> Option<&PhotoRefusal> {
         let train = || scene.views.iter().zip(&self.photos).filter(|(view, _)| !view.test);
         let first = train().find_map(|(_, photo)| photo.as_ref().err());
-        first.filter(|_| train().all(|(_, photo)| photo.is_err())).map(String::as_str)
+        first.filter(|_| train().all(|(_, photo)| photo.is_err())).map(Arc::as_ref)
     }
 }
 
@@ -420,12 +431,12 @@ impl Keys {
 
     /// By view, the reason why its photo cannot be used; `None` where it can.
     pub fn refused(&self) -> Vec<Option<String>> {
-        self.digests.iter().map(|digest| digest.as_ref().err().cloned()).collect()
+        self.digests.iter().map(|digest| digest.as_ref().err().map(ToString::to_string)).collect()
     }
 
     /// The reason why a view's photo cannot be used; `None` where it can.
-    pub fn unreadable(&self, view: usize) -> Option<&str> {
-        self.digests[view].as_ref().err().map(String::as_str)
+    pub(crate) fn unreadable(&self, view: usize) -> Option<&PhotoRefusal> {
+        self.digests[view].as_ref().err().map(Arc::as_ref)
     }
 }
 
@@ -447,13 +458,13 @@ pub(crate) fn history_of(geometry: &str) -> Key {
 
 /// The photo's bytes and those of its masks. A mask of what to keep is marked as one: with the same file as the mask of what to
 /// ignore, something else is made. So is a photo that is turned where its size does not ask for it.
-fn photo_digest(view: &View) -> Result<String, segwild_scene::SceneError> {
+fn photo_digest(view: &View) -> Result<String, SceneError> {
     let mut digest = view.digest()?;
     for (label, mask) in [("", &view.photo.ignore), ("keep", &view.photo.usable)] {
         let Some(mask) = mask else { continue };
         let mut hasher = blake3::Hasher::new();
         let hashed = segwild_scene::open_file(mask).and_then(|file| hasher.update_reader(file).map(drop));
-        hashed.map_err(segwild_scene::SceneError::io(mask))?;
+        hashed.map_err(SceneError::io(mask))?;
         digest.push_str(label);
         digest.push_str(hasher.finalize().to_hex().as_str());
     }

@@ -1,12 +1,12 @@
 //! Scores: held-out photos by the official protocol, selections against true masks (method, section 10).
 
-use crate::artifacts::images::{ImageFiles, same_shape};
+use crate::artifacts::images::{ImageFiles, check_shape};
 use crate::artifacts::intact::Intact;
 use crate::session::prompts::Replay;
 use crate::{RunError, RunFolder, Scoring, Selected, Settings};
-use segwild_flow::fault;
+use segwild_flow::{ActorFailure, fault};
 use segwild_raster::Rasterizer;
-use segwild_scene::{Mask, MaskFiles, PhotoStore};
+use segwild_scene::{Mask, MaskFiles, PhotoStore, ReaderError};
 use segwild_trainer::{AppearanceModel, Model, Photos, Protocol, TrainPhoto, ViewScore, evaluate};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -126,8 +126,8 @@ pub(crate) fn held_out(
     engine: &dyn Rasterizer,
     settings: &Settings,
     usable: impl Fn(usize) -> bool,
-    sky: impl Fn(usize) -> Result<Option<Mask>, String> + Send + Sync + 'static,
-    mut record: impl FnMut(usize, Result<f64, String>) -> Result<(), RunError>,
+    sky: impl Fn(usize) -> Result<Option<Mask>, ActorFailure> + Send + Sync + 'static,
+    mut record: impl FnMut(usize, Result<f64, ActorFailure>) -> Result<(), RunError>,
 ) -> Result<Option<HeldOut>, RunError> {
     let scene = &**store.scene();
     let views: Vec<usize> = (0..scene.views.len())
@@ -142,9 +142,10 @@ pub(crate) fn held_out(
         Protocol::Halves => "appearance fitted on the left half, right half scored",
     };
     let source = store.clone();
-    let photos: Arc<dyn Photos> = Arc::new(move |view: usize| -> Result<TrainPhoto, String> {
-        let loaded = source.read(view).map_err(|e| e.to_string())?;
-        Ok(TrainPhoto::new(Arc::unwrap_or_clone(loaded), sky(view)?))
+    let photos: Arc<dyn Photos> = Arc::new(move |view: usize| -> Result<TrainPhoto, ReaderError> {
+        let loaded = source.read(view)?;
+        let sky = sky(view).map_err(|lost| lost.to_string())?;
+        Ok(TrainPhoto::new(Arc::unwrap_or_clone(loaded), sky))
     });
     let there = engine.hold(&model.splats);
     let there = there.map_err(|e| RunError::Stage { stage: "evaluate", reason: e.to_string() })?;
@@ -152,13 +153,12 @@ pub(crate) fn held_out(
     // One photo at a time: an evaluation holds its renders in memory.
     let files = ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()));
     let renders = folder.path().join(RENDERS);
-    let score = |view: usize| -> Result<_, String> {
-        let scored = evaluate(model, engine, scene, photos.clone(), &[view], protocol);
-        let scored = scored.map_err(|e| e.to_string())?;
+    let score = |view: usize| -> Result<_, ActorFailure> {
+        let scored = evaluate(model, engine, scene, photos.clone(), &[view], protocol)?;
         let file = renders.join(files.name(view));
-        file.parent().map_or(Ok(()), std::fs::create_dir_all).map_err(|e| e.to_string())?;
-        scored.renders[0].write_png(&file).map_err(|e| e.to_string())?;
-        fault::point("evaluate.photo").map_err(|e| e.to_string())?;
+        file.parent().map_or(Ok(()), std::fs::create_dir_all)?;
+        scored.renders[0].write_png(&file)?;
+        fault::point("evaluate.photo")?;
         let of = |v: ViewScore| {
             let ViewScore { name: photo, psnr, ssim, kept_psnr, left_out, .. } = v;
             HeldOutScore { photo, psnr, ssim, kept_psnr, left_out }
@@ -229,12 +229,11 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
     let names = intake.photos.iter().map(String::as_str);
     let (files, truths) = (ImageFiles::of(names.clone()), MaskFiles::new(truth, names));
     for (i, photo) in intake.photos.iter().enumerate() {
-        let file = truths.find(photo).map_err(|e| e.to_string());
-        let Some(file) = file.transpose() else { continue };
-        let truth = match file.and_then(|file| Mask::read_png(&file).map_err(|e| e.to_string())) {
+        let Some(file) = truths.find(photo).transpose() else { continue };
+        let truth = match file.map_err(ReaderError::from).and_then(|file| Ok(Mask::read_png(&file)?)) {
             Ok(truth) => truth,
             Err(error) => {
-                unread.push(error);
+                unread.push(error.to_string());
                 continue;
             }
         };
@@ -248,10 +247,8 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
         };
         let (visible, amodal) = (read("masks")?, read("amodal")?);
         let (w, h) = (truth.width(), truth.height());
-        let (pw, ph) = (visible.width(), visible.height());
-        if !same_shape((w, h), (pw, ph)) {
-            let shapes = format!("{w} x {h} pixels, which does not fit the photo's {pw} x {ph}");
-            unread.push(format!("the true mask of {photo} has {shapes}"));
+        if let Err(shape) = check_shape(&truth, "the photo", (visible.width(), visible.height())) {
+            unread.push(format!("the true mask of {photo} has {shape}"));
             continue;
         }
         let fit = |m: Mask| if (m.width(), m.height()) == (w, h) { m } else { m.resized(w, h) };

@@ -5,7 +5,7 @@ use crate::artifacts::keys::Keys;
 use crate::{RunBudget, RunError, RunFolder, Settings};
 use segwild_flow::{Cache, CacheError, Key};
 use segwild_objective::Engine;
-use segwild_scene::{Mask, PhotoStore, Scene};
+use segwild_scene::{Mask, PhotoStore, Scene, SceneError};
 use segwild_trainer::{
     AppearanceChoice, AppearanceModel, BudgetChoice, CHOICE_SIZE, Photos, Sifted, TrainError, TrainPhoto,
     choose_appearance, choose_budget, trial_size,
@@ -190,15 +190,15 @@ impl Chooser<'_> {
         let (scene, sky) = (self.scene.clone(), self.sky.clone());
         // They are held below, with their skies.
         let store = PhotoStore::new(scene.clone(), size, 0);
-        let held: Mutex<BTreeMap<usize, Result<TrainPhoto, String>>> = Mutex::default();
-        let read = move |view: usize| -> Result<TrainPhoto, String> {
-            let loaded = store.read(view).map_err(|e| e.to_string())?;
+        let held: Mutex<BTreeMap<usize, Result<TrainPhoto, Arc<SceneError>>>> = Mutex::default();
+        let read = move |view: usize| -> Result<TrainPhoto, Arc<SceneError>> {
+            let loaded = store.read(view)?;
             // A photo is used even without its sky.
             let seen = scene.points_in(view, loaded.image.width, loaded.image.height);
             let sky: Option<Mask> = sky.sky_above(&loaded.image, &seen).ok();
             Ok(TrainPhoto::new(Arc::unwrap_or_clone(loaded), sky))
         };
-        let photos = move |view: usize| -> Result<TrainPhoto, String> {
+        let photos = move |view: usize| -> Result<TrainPhoto, Arc<SceneError>> {
             let mut held = held.lock().unwrap_or_else(PoisonError::into_inner);
             held.entry(view).or_insert_with(|| read(view)).clone()
         };

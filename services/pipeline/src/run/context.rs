@@ -126,7 +126,7 @@ impl RunContext<'_> {
         for view in 0..self.scene.views.len() {
             if let Some(reason) = self.keys.unreadable(view) {
                 let skipped =
-                    Skipped { name: self.scene.views[view].name.clone(), reason: reason.to_owned() };
+                    Skipped { name: self.scene.views[view].name.clone(), reason: reason.to_string() };
                 self.options
                     .events
                     .warn(Some("ingest"), format!("photo {} is left out: {reason}", skipped.name));

@@ -125,18 +125,37 @@ pub(crate) fn decoding_limit(settings: &Settings, scene: &Scene) -> Option<u64> 
     (budget > 0.0).then(|| ((budget - least).max(0.0) * MIB) as u64)
 }
 
-/// Why a photo is left out under the memory budget; `None` if it fits. `limit` is [`decoding_limit`]'s, in bytes.
-pub(crate) fn too_large(settings: &Settings, view: &View, limit: Option<u64>) -> Option<String> {
-    let mib = |bytes: u64| bytes.div_ceil(1 << 20);
+/// A photo whose decoding does not fit into the memory budget.
+#[derive(Clone, Copy, Debug, thiserror::Error)]
+#[error(
+    "decoding its file takes {} MiB of memory, and --memory-budget {budget} leaves {} for it: give {} MiB, or make the photo smaller",
+    mib(*bytes),
+    mib(*limit),
+    u64::from(*budget) + mib(bytes - limit)
+)]
+pub(crate) struct TooLargePhoto {
+    /// Bytes that its decoding takes.
+    bytes: u64,
+    /// Bytes that the budget leaves for it.
+    limit: u64,
+    /// The budget in MiB.
+    budget: u32,
+}
+
+fn mib(bytes: u64) -> u64 {
+    bytes.div_ceil(1 << 20)
+}
+
+/// Refuses a photo that is left out under the memory budget. `limit` is [`decoding_limit`]'s, in bytes.
+///
+/// # Errors
+/// When its decoding takes more.
+pub(crate) fn fits_budget(settings: &Settings, view: &View, limit: Option<u64>) -> Result<(), TooLargePhoto> {
     let bytes = decoding(settings, view);
-    let limit = limit.filter(|&limit| bytes > limit)?;
-    let budget = settings.run.memory_budget;
-    Some(format!(
-        "decoding its file takes {} MiB of memory, and --memory-budget {budget} leaves {} for it: give {} MiB, or make the photo smaller",
-        mib(bytes),
-        mib(limit),
-        u64::from(budget) + mib(bytes - limit),
-    ))
+    match limit.filter(|&limit| bytes > limit) {
+        None => Ok(()),
+        Some(limit) => Err(TooLargePhoto { bytes, limit, budget: settings.run.memory_budget }),
+    }
 }
 
 /// MiB that a run takes beside the caches.
@@ -225,7 +244,7 @@ fn pixels(settings: &Settings, scene: &Scene) -> usize {
 ///
 /// # Errors
 /// In words, with the numbers, when the rest alone does not fit. A few photos whose decoding does not fit are no error:
-/// they are left out ([`too_large`]).
+/// they are left out ([`fits_budget`]).
 pub(crate) fn within_budget(settings: &Settings, scene: &Scene) -> Result<Settings, RunError> {
     let mut settings = settings.clone();
     let budget = settings.run.memory_budget as usize;
@@ -235,7 +254,7 @@ pub(crate) fn within_budget(settings: &Settings, scene: &Scene) -> Result<Settin
     }
     let need = need(&settings, scene);
     let limit = decoding_limit(&settings, scene);
-    let fits = |view: &&View| too_large(&settings, view, limit).is_none();
+    let fits = |view: &&View| fits_budget(&settings, view, limit).is_ok();
     let most_fit = 2 * scene.views.iter().filter(fits).count() > scene.views.len();
     let dearest = with_decoding(&settings, scene) + 2.0 * LEAST_CACHE as f64 * PER_CACHED;
     if need.least_mib as usize > budget && (!most_fit || dearest.ceil() as usize > budget) {
@@ -394,9 +413,9 @@ mod tests {
         tight.run.memory_budget = least(&small) + 20;
         let one = of([1, 500, 1, 1]);
         let limit = decoding_limit(&tight, &one);
-        let out: Vec<Option<String>> = one.views.iter().map(|view| too_large(&tight, view, limit)).collect();
-        assert_eq!(out.iter().map(Option::is_some).collect::<Vec<_>>(), [false, true, false, false]);
-        let words = out[1].as_deref().unwrap_or_default();
+        let fit: Vec<_> = one.views.iter().map(|view| fits_budget(&tight, view, limit)).collect();
+        assert_eq!(fit.iter().map(Result::is_ok).collect::<Vec<_>>(), [true, false, true, true]);
+        let words = fit[1].expect_err("it is too large").to_string();
         assert!(words.contains("MiB") && words.contains("--memory-budget"), "{words}");
         within_budget(&tight, &one).expect("the rest goes on");
         let refused = within_budget(&tight, &large).expect_err("none fits").to_string();

@@ -1,10 +1,11 @@
 //! Masks of transients that a person has corrected.
 
 use super::authorship::{self, FOLDER, MaskImage, WrittenMasks, image_files, pixel_hash};
-use crate::artifacts::images::same_shape;
+use crate::artifacts::images::{OtherShape, check_shape};
 use crate::{RunError, RunFolder};
-use segwild_scene::{Mask, MaskFiles, Scene, View};
+use segwild_scene::{Mask, MaskFileError, MaskFiles, Scene, SceneError, View};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Corrected masks, by view.
 #[derive(Clone, Debug, Default)]
@@ -13,7 +14,7 @@ pub struct Corrections {
     /// Damaged mask images of the run folder, and what is wrong with each.
     damaged: Vec<(PathBuf, String)>,
     /// Views whose corrected mask cannot be used, and why. They are not trained on: what the mask leaves out would show.
-    unusable: Vec<(usize, String)>,
+    unusable: Vec<(usize, Arc<UnusableCorrection>)>,
 }
 
 #[derive(Clone, Debug)]
@@ -22,6 +23,30 @@ struct Correction {
     /// In pixels of the undistorted photo.
     mask: Mask,
     digest: String,
+}
+
+/// A corrected mask of the folder of `--transient-masks` that cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[error("its mask in --transient-masks {folder} cannot be used: {source}")]
+pub(crate) struct UnusableCorrection {
+    /// The folder.
+    folder: String,
+    /// Why.
+    source: CorrectionError,
+}
+
+/// Why a corrected mask cannot be used.
+#[derive(Debug, thiserror::Error)]
+enum CorrectionError {
+    /// It is open which file it is.
+    #[error(transparent)]
+    File(#[from] MaskFileError),
+    /// It cannot be read.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// It has another shape than its photo.
+    #[error("{}: it has {shape}", file.display())]
+    Shape { file: PathBuf, shape: OtherShape },
 }
 
 impl Corrections {
@@ -42,13 +67,14 @@ impl Corrections {
         let named_files = (!named.is_empty()).then(|| MaskFiles::new(Path::new(named), photos));
         let mut corrections = Corrections::default();
         for (i, view) in scene.views.iter().enumerate() {
-            let file = named_files.as_ref().map_or(Ok(None), |files| files.find(&view.name));
-            let given = file.map_err(|e| e.to_string());
+            let given = named_files.as_ref().map_or(Ok(None), |files| files.find(&view.name));
+            let given = given.map_err(CorrectionError::from);
             let given = given.and_then(|file| file.map(|file| read(file, view)).transpose());
             let file = files.find(&own, i);
             let of_own = match authorship::inspect(&file, written.of_photo(&files, i))? {
                 MaskImage::OfPerson(mask) => {
-                    let misfit = |reason| RunError::Folder { path: file.clone(), reason };
+                    let misfit =
+                        |shape| RunError::Folder { path: file.clone(), reason: format!("it has {shape}") };
                     Some(Correction::of(file.clone(), mask, view).map_err(misfit)?)
                 }
                 MaskImage::Damaged(reason) => {
@@ -59,9 +85,9 @@ impl Corrections {
             };
             match given {
                 Ok(given) => corrections.found.push(given.or(of_own)),
-                Err(reason) => {
-                    let reason = format!("its mask in --transient-masks {named} cannot be used: {reason}");
-                    corrections.unusable.push((i, reason));
+                Err(source) => {
+                    let unusable = UnusableCorrection { folder: named.to_owned(), source };
+                    corrections.unusable.push((i, Arc::new(unusable)));
                     corrections.found.push(None);
                 }
             }
@@ -77,7 +103,7 @@ impl Corrections {
     }
 
     /// Views whose corrected mask cannot be used, each with the reason. A run leaves these photos out.
-    pub fn unusable(&self) -> &[(usize, String)] {
+    pub(crate) fn unusable(&self) -> &[(usize, Arc<UnusableCorrection>)] {
         &self.unusable
     }
 
@@ -126,27 +152,16 @@ impl Corrections {
 }
 
 impl Correction {
-    fn of(file: PathBuf, mask: Mask, view: &View) -> Result<Correction, String> {
-        fits(&mask, view)?;
+    fn of(file: PathBuf, mask: Mask, view: &View) -> Result<Correction, OtherShape> {
+        check_shape(&mask, &view.name, (view.camera.width, view.camera.height))?;
         Ok(Correction { digest: pixel_hash(&mask), file, mask: view.mask_from_taken(mask) })
     }
 }
 
 /// Reads a corrected mask.
-fn read(file: PathBuf, view: &View) -> Result<Correction, String> {
-    let mask = Mask::read_png(&file).map_err(|error| error.to_string())?;
-    let name = file.display().to_string();
-    Correction::of(file, mask, view).map_err(|reason| format!("{name}: {reason}"))
-}
-
-/// Refuses a mask of another shape than its photo's.
-fn fits(mask: &Mask, view: &View) -> Result<(), String> {
-    let (w, h) = (mask.width(), mask.height());
-    let (pw, ph) = (view.camera.width, view.camera.height);
-    if same_shape((w, h), (pw, ph)) {
-        return Ok(());
-    }
-    Err(format!("it has {w} x {h} pixels, which does not fit {}'s {pw} x {ph}", view.name))
+fn read(file: PathBuf, view: &View) -> Result<Correction, CorrectionError> {
+    let mask = Mask::read_png(&file)?;
+    Correction::of(file.clone(), mask, view).map_err(|shape| CorrectionError::Shape { file, shape })
 }
 
 #[cfg(test)]
@@ -181,10 +196,10 @@ mod tests {
         Mask::full(50, 50).write_png(&named.join("b.png")).unwrap();
         std::fs::write(named.join("c.png"), b"no image").unwrap();
         let found = Corrections::find(&scene, &run, &named.to_string_lossy()).unwrap();
-        let reasons: Vec<(usize, &str)> =
-            found.unusable().iter().map(|(i, why)| (*i, why.as_str())).collect();
+        let reasons: Vec<(usize, String)> =
+            found.unusable().iter().map(|(i, why)| (*i, why.to_string())).collect();
         assert!(
-            matches!(reasons[..], [(1, b), (2, c)] if b.contains("b.png: it has 50 x 50") && c.contains("c.png")),
+            matches!(&reasons[..], [(1, b), (2, c)] if b.contains("b.png: it has 50 x 50") && c.contains("c.png")),
             "{reasons:?}"
         );
         let digests: Vec<bool> = (0..4).map(|view| found.digest(view).is_some()).collect();

@@ -1,10 +1,10 @@
 //! The transients that are known of a photo before the training: by hand, and by a network.
 
 use super::corrections::Corrections;
-use segwild_flow::{Cache, Key};
+use segwild_flow::{Cache, Key, MakeError};
 use segwild_scene::Mask;
 use segwild_trainer::TrainPhoto;
-use segwild_vision::TransientDetector;
+use segwild_vision::{TransientDetector, VisionError};
 use std::sync::Arc;
 
 /// Kind of the cache's records of what the network finds.
@@ -28,15 +28,14 @@ impl KnownTransients {
     /// valid pixels, and the training may find more.
     ///
     /// # Errors
-    /// In words, when the network fails or the cache cannot be read.
-    pub fn apply(&self, view: usize, photo: &mut TrainPhoto) -> Result<(), String> {
+    /// When the network fails or the cache cannot be read.
+    pub fn apply(&self, view: usize, photo: &mut TrainPhoto) -> Result<(), MakeError<VisionError>> {
         let (w, h) = (photo.image.width as u32, photo.image.height as u32);
         if let Some(mask) = self.corrections.mask(view, w, h) {
             photo.transients = Some(mask);
         } else if let Some(network) = &self.network {
             let find = || network.transients(&photo.image);
-            let (mask, _) =
-                self.cache.get_or_make(&self.keys[view], KIND, find).map_err(|e| e.to_string())?;
+            let (mask, _) = self.cache.get_or_make(&self.keys[view], KIND, find)?;
             let valid = photo.valid.take().unwrap_or_else(|| Mask::full(w, h));
             photo.valid = Some(valid.minus(&mask));
         }

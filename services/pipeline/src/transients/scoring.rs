@@ -1,12 +1,12 @@
 //! Scores a run's mask images of transients against true masks.
 
 use super::authorship::FOLDER;
-use crate::artifacts::images::{ImageFiles, same_shape};
+use crate::artifacts::images::{ImageFiles, OtherShape, check_shape};
 use crate::{RunError, RunFolder};
-use segwild_scene::{Mask, MaskFiles};
+use segwild_scene::{Mask, MaskFileError, MaskFiles, SceneError};
 use serde::Serialize;
 use std::collections::HashSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Score of the transients of one photo.
 #[derive(Clone, Debug, Serialize)]
@@ -36,19 +36,26 @@ pub struct TransientScores {
     pub unread: Vec<String>,
 }
 
+/// Why a photo is not scored.
+#[derive(Debug, thiserror::Error)]
+enum UnreadTruth {
+    /// It is open which file is the true mask.
+    #[error(transparent)]
+    File(#[from] MaskFileError),
+    /// One of the two masks cannot be read.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The true mask has another shape than the photo.
+    #[error("{} has {shape}", file.display())]
+    Shape { file: PathBuf, shape: OtherShape },
+}
+
 /// Reads a run's mask image of a photo and the true mask, both in pixels of the true one.
-fn compared(found: &Path, truth: &Path) -> Result<(Mask, Mask), String> {
-    let read = |file: &Path| Mask::read_png(file).map_err(|e| e.to_string());
-    let (found, true_one) = (read(found)?, read(truth)?);
-    let (w, h) = (true_one.width(), true_one.height());
-    if !same_shape((w, h), (found.width(), found.height())) {
-        let (pw, ph) = (found.width(), found.height());
-        return Err(format!(
-            "{} has {w} x {h} pixels, which does not fit the photo's {pw} x {ph}",
-            truth.display()
-        ));
-    }
-    Ok((found.resized(w, h), true_one))
+fn compared(found: &Path, truth: &Path) -> Result<(Mask, Mask), UnreadTruth> {
+    let (found, true_one) = (Mask::read_png(found)?, Mask::read_png(truth)?);
+    check_shape(&true_one, "the photo", (found.width(), found.height()))
+        .map_err(|shape| UnreadTruth::Shape { file: truth.to_owned(), shape })?;
+    Ok((found.resized(true_one.width(), true_one.height()), true_one))
 }
 
 /// Scores a run's mask images of transients against the true masks in `truth`: one image per photo, named as the photo
@@ -72,12 +79,12 @@ pub fn score_transients(folder: &RunFolder, truth: &Path) -> Result<TransientSco
     let (own, held_out) = (folder.path().join(FOLDER), intake.held_out.iter().collect::<HashSet<_>>());
     for (i, photo) in intake.photos.iter().enumerate().filter(|(_, photo)| !held_out.contains(photo)) {
         let found = files.find(&own, i);
-        let file = truths.find(photo).map_err(|e| e.to_string());
-        let Some(file) = file.transpose().filter(|_| found.is_file()) else { continue };
-        let (found, truth) = match file.and_then(|file| compared(&found, &file)) {
+        let Some(file) = truths.find(photo).transpose().filter(|_| found.is_file()) else { continue };
+        let compared = file.map_err(UnreadTruth::from).and_then(|file| compared(&found, &file));
+        let (found, truth) = match compared {
             Ok(both) => both,
-            Err(reason) => {
-                unread.push(reason);
+            Err(error) => {
+                unread.push(error.to_string());
                 continue;
             }
         };

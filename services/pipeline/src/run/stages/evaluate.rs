@@ -38,7 +38,7 @@ fn evaluate(after: &mut AfterActors<'_, '_>) -> Result<(), RunError> {
     run.ledger.start_stage(name, &key)?;
     let progress = events.stage(name, None);
     let skies = run.skies.clone();
-    let sky = move |view: usize| skies.read(view).map_err(|lost| lost.to_string());
+    let sky = move |view: usize| skies.read(view);
     let mut unscored = BTreeSet::new();
     let scored = traces.step(report, name, || {
         let usable = |view: usize| run.keys.unreadable(view).is_none();
@@ -50,7 +50,7 @@ fn evaluate(after: &mut AfterActors<'_, '_>) -> Result<(), RunError> {
                     unscored.insert(view);
                     let message = format!("photo {photo} is not scored: {reason}");
                     events.warn(Some(name), message);
-                    ViewOutcome::failed(1, reason)
+                    ViewOutcome::failed(1, reason.to_string())
                 }
             };
             Ok(run.ledger.record_view(name, photo, &key, &outcome)?)

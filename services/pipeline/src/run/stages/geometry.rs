@@ -14,6 +14,7 @@ use crate::run::stage::Stage;
 use crate::run::work::{ActorStage, Actors, StageState};
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{ActorFailure, Phase};
+use segwild_scene::ReaderError;
 use segwild_trainer::{FindCheckpoint, Model, Photos, Sifted, TrainOrder, TrainOutcome, TrainPhoto};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -222,17 +223,16 @@ fn photos(run: &RunContext<'_>) -> Arc<dyn Photos> {
     let (store, skies) = (run.photos.clone(), run.skies.clone());
     let (stopper, tainted) = (run.options.stopper.clone(), run.tainted.clone());
     let transients = run.known.clone();
-    let photos = move |view: usize| -> Result<TrainPhoto, String> {
-        let loaded = store.read(view).map_err(|e| {
+    let photos = move |view: usize| -> Result<TrainPhoto, ReaderError> {
+        let loaded = store.read(view).inspect_err(|_| {
             tainted.fetch_or(store.scene().views[view].intact().is_err(), Ordering::AcqRel);
-            e.to_string()
         })?;
         let known = skies.wait(view, || stopper.phase() == Phase::Stopping);
         let sky = skies.read(view);
         if known.is_none() || sky.is_err() {
             tainted.store(true, Ordering::Release);
         }
-        let mut photo = TrainPhoto::new(Arc::unwrap_or_clone(loaded), sky.map_err(|e| e.to_string())?);
+        let mut photo = TrainPhoto::new(Arc::unwrap_or_clone(loaded), sky.map_err(|lost| lost.to_string())?);
         transients.apply(view, &mut photo)?;
         Ok(photo)
     };
