@@ -77,6 +77,13 @@ pub enum ProtocolError {
     },
 }
 
+impl ProtocolError {
+    /// One thing is missing. `layout` says how the data must lie.
+    pub(super) fn missing(what: impl Into<String>, layout: &str) -> ProtocolError {
+        ProtocolError::Missing(Missing { what: vec![what.into()], layout: layout.into() })
+    }
+}
+
 impl From<SyntheticError> for ProtocolError {
     fn from(error: SyntheticError) -> ProtocolError {
         TrialError::from(error).into()

@@ -2,7 +2,7 @@
 //! several.
 
 use super::clicks;
-use super::error::{Missing, ProtocolError};
+use super::error::ProtocolError;
 use super::scene::{EvalQuery, EvalScene, FoundScenes, photos, stem};
 use segwild_pipeline::{PhotoPrompts, Settings};
 use segwild_scene::{Mask, MaskFiles, Prompts, Random, SceneError};
@@ -108,9 +108,8 @@ pub type Objects = BTreeMap<String, Vec<(String, PathBuf)>>;
 /// When there is no true mask that is named as a photo, or a folder cannot be read.
 pub fn objects(scene: &Path, photos: &[String]) -> Result<Objects, ProtocolError> {
     let truth = scene.join("truth");
-    let missing = |what: String| Missing { what: vec![what], layout: LAYOUT.into() };
     if !truth.is_dir() {
-        return Err(ProtocolError::Missing(missing(format!("the true masks: {}", truth.display()))));
+        return Err(ProtocolError::missing(format!("the true masks: {}", truth.display()), LAYOUT));
     }
     let mut objects = Objects::new();
     objects.insert("object".into(), masks_in(&truth, photos)?);
@@ -123,7 +122,7 @@ pub fn objects(scene: &Path, photos: &[String]) -> Result<Objects, ProtocolError
     objects.retain(|_, masks: &mut Vec<_>| !masks.is_empty());
     if objects.is_empty() {
         let what = format!("a mask in {} that is named as a photo of the scene", truth.display());
-        return Err(ProtocolError::Missing(missing(what)));
+        return Err(ProtocolError::missing(what, LAYOUT));
     }
     Ok(objects)
 }

@@ -1,7 +1,7 @@
 //! NVOS (Ren et al. 2022): a scribble on one photo of a forward-facing scene, the true mask of another.
 
 use super::clicks;
-use super::error::{Missing, ProtocolError};
+use super::error::ProtocolError;
 use super::folder::entries;
 use super::scene::{EvalQuery, EvalScene, FoundScenes, photo_of, photos, stem};
 use segwild_pipeline::{PhotoPrompts, Settings};
@@ -68,10 +68,7 @@ fn file_name(path: &Path) -> String {
 
 /// The only file of a folder that fits.
 fn find(folder: &Path, what: &str, fits: impl Fn(&str) -> bool) -> Result<PathBuf, ProtocolError> {
-    let missing = || {
-        let what = vec![format!("{what} in {}", folder.display())];
-        ProtocolError::Missing(Missing { what, layout: LAYOUT.into() })
-    };
+    let missing = || ProtocolError::missing(format!("{what} in {}", folder.display()), LAYOUT);
     let list = entries(folder).map_err(|_| missing())?;
     list.into_iter().map(|e| e.0).find(|path| fits(&file_name(path))).ok_or_else(missing)
 }
@@ -89,17 +86,16 @@ fn eval_scene(
         .map(|n| options.root.join("scenes").join(n))
         .find(|path| path.is_dir())
         .ok_or_else(|| {
-            let what =
-                vec![format!("the scene {name}: {}", options.root.join("scenes").join(name).display())];
-            ProtocolError::Missing(Missing { what, layout: LAYOUT.into() })
+            let wanted = options.root.join("scenes").join(name);
+            ProtocolError::missing(format!("the scene {name}: {}", wanted.display()), LAYOUT)
         })?;
     let photos = photos(&scene, settings)?;
     let pick = |file: &Path, ending: &str| {
         let name = file_name(file);
         let wanted = stem(&name).trim_end_matches(ending).to_owned();
         photo_of(&photos, &wanted).cloned().ok_or_else(|| {
-            let what = vec![format!("the photo `{wanted}` ({}) in {}", file.display(), scene.display())];
-            ProtocolError::Missing(Missing { what, layout: LAYOUT.into() })
+            let what = format!("the photo `{wanted}` ({}) in {}", file.display(), scene.display());
+            ProtocolError::missing(what, LAYOUT)
         })
     };
     let is_photo = |n: &str| ["jpg", "jpeg", "png"].iter().any(|e| n.to_ascii_lowercase().ends_with(e));
@@ -109,8 +105,8 @@ fn eval_scene(
     let folder = labels.join("scribbles").join(name);
     let mut points = scribbled(&folder, "pos", options.clicks, true)?;
     if points.is_empty() {
-        let what = vec![format!("a white pixel in {}/pos_*.png", folder.display())];
-        return Err(ProtocolError::Missing(Missing { what, layout: LAYOUT.into() }));
+        let what = format!("a white pixel in {}/pos_*.png", folder.display());
+        return Err(ProtocolError::missing(what, LAYOUT));
     }
     points.extend(scribbled(&folder, "neg", options.clicks, false)?);
     let clicked = on_photo(&scene, &clicked, points, &folder, settings)?;

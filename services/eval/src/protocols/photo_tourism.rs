@@ -6,7 +6,7 @@ use super::error::{Missing, ProtocolError};
 use super::paper::{PAPER, PaperScene, PaperTarget};
 use super::scene::{EvalQuery, EvalScene, FoundScenes, stem};
 use segwild_pipeline::{PhotoPrompts, Replay, Settings};
-use segwild_scene::{Mask, MaskFiles, Prompts, Scene};
+use segwild_scene::{Mask, MaskFileError, MaskFiles, Prompts, Scene};
 use std::path::{Path, PathBuf};
 
 /// Which data, and how it is clicked.
@@ -43,21 +43,27 @@ pub fn scenes(
     seed: u64,
 ) -> Result<FoundScenes, ProtocolError> {
     if let Some(odd) = options.only.iter().find(|o| PAPER.scenes.iter().all(|s| s.folder != **o)) {
-        let what = vec![format!("a scene named `{odd}`: there are {}", folders().join(", "))];
-        return Err(ProtocolError::Missing(Missing { what, layout: LAYOUT.into() }));
+        let what = format!("a scene named `{odd}`: there are {}", folders().join(", "));
+        return Err(missing(what));
     }
     let wanted = |s: &&PaperScene| options.only.is_empty() || options.only.contains(&s.folder);
     let mut found = FoundScenes::default();
     for scene in PAPER.scenes.iter().filter(wanted) {
-        match eval_scene(options, scene, settings, seed)? {
+        match eval_scene(options, scene, settings, seed) {
             Ok((eval_scene, missing)) => {
                 found.scenes.push(eval_scene);
                 found.missing.extend(missing);
             }
-            Err(missing) => found.missing.push(missing),
+            Err(ProtocolError::Missing(missing)) => found.missing.extend(missing.what),
+            Err(other) => return Err(other),
         }
     }
     found.or_refused(LAYOUT)
+}
+
+/// The error that one thing is missing.
+fn missing(what: String) -> ProtocolError {
+    ProtocolError::missing(what, LAYOUT)
 }
 
 /// Folders of the scenes.
@@ -65,39 +71,41 @@ fn folders() -> Vec<&'static str> {
     PAPER.scenes.iter().map(|s| s.folder.as_str()).collect()
 }
 
-/// A scene with its queries, and what is missing of it; or why it cannot be measured at all.
+/// A scene with its queries, and what is missing of it.
+///
+/// # Errors
+/// [`ProtocolError::Missing`] when it cannot be measured at all, and when a file of prompts cannot be read.
 fn eval_scene(
     options: &PhotoTourismProtocol,
     scene: &PaperScene,
     settings: &Settings,
     seed: u64,
-) -> Result<Result<(EvalScene, Vec<String>), String>, ProtocolError> {
+) -> Result<(EvalScene, Vec<String>), ProtocolError> {
     let root = options.root.join(&scene.folder);
     if !root.is_dir() {
-        return Ok(Err(format!("{}: the folder {}", scene.name, root.display())));
+        return Err(missing(format!("{}: the folder {}", scene.name, root.display())));
     }
     let dense = root.join("dense");
     let path = if dense.is_dir() { dense } else { root.clone() };
     let split = root.join(&scene.split);
     if !split.is_file() {
-        return Ok(Err(format!("{}: the split, {}", scene.name, split.display())));
+        return Err(missing(format!("{}: the split, {}", scene.name, split.display())));
     }
     let mut settings = settings.scene.clone();
     settings.split = split.display().to_string();
-    let opened = match Scene::open(&path, &settings) {
-        Ok(opened) => opened,
-        Err(error) => return Ok(Err(format!("{}: {error}", scene.name))),
-    };
-    let (mut queries, mut missing) = (Vec::new(), Vec::new());
+    let opened =
+        Scene::open(&path, &settings).map_err(|error| missing(format!("{}: {error}", scene.name)))?;
+    let (mut queries, mut absent) = (Vec::new(), Vec::new());
     for target in &scene.targets {
-        match query(&root, target, &opened, options.clicks)? {
+        match query(&root, target, &opened, options.clicks) {
             Ok(query) => {
-                missing.extend(query.missing.iter().map(|m| format!("{}, {}: {m}", scene.name, target.name)));
+                absent.extend(query.missing.iter().map(|m| format!("{}, {}: {m}", scene.name, target.name)));
                 queries.push(query);
             }
-            Err(why) => {
-                missing.push(format!("{}, {}, is refused: {}", scene.name, target.name, why.join("; ")))
+            Err(ProtocolError::Missing(Missing { what, .. })) => {
+                absent.push(format!("{}, {}, is refused: {}", scene.name, target.name, what.join("; ")));
             }
+            Err(other) => return Err(other),
         }
     }
     let eval_scene = EvalScene {
@@ -109,86 +117,102 @@ fn eval_scene(
         queries,
         held_out: true,
     };
-    Ok(Ok((eval_scene, missing)))
+    Ok((eval_scene, absent))
+}
+
+/// A photo or a true mask that a target needs and that is not there.
+#[derive(Debug, thiserror::Error)]
+enum AbsentFile {
+    /// The photo takes no part in the scene.
+    #[error("the photo {stem}.jpg: {reason}")]
+    Photo { stem: String, reason: String },
+    /// There is no true mask of this name.
+    #[error("the true mask {}", .0.display())]
+    Mask(PathBuf),
+    /// It is open which file is the true mask.
+    #[error(transparent)]
+    MaskFile(#[from] MaskFileError),
 }
 
 /// A photo of the scene by its stem, or why it takes no part.
-fn photo<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a str, String> {
+fn photo<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a str, AbsentFile> {
     if let Some(view) = scene.views.iter().find(|v| stem(&v.name) == wanted) {
         return Ok(&view.name);
     }
     let skipped = scene.skipped.iter().find(|s| stem(&s.name) == wanted);
-    let why = skipped.map_or("the reconstruction has no photo of that name", |s| s.reason.as_str());
-    Err(format!("the photo {wanted}.jpg: {why}"))
+    let reason = skipped.map_or("the reconstruction has no photo of that name", |s| s.reason.as_str());
+    Err(AbsentFile::Photo { stem: wanted.into(), reason: reason.into() })
 }
 
 /// The true mask of a photo, or what is missing.
-fn mask(masks: &MaskFiles, folder: &Path, photo: &str) -> Result<PathBuf, String> {
-    let named = || format!("the true mask {}", folder.join(MaskFiles::wanted(photo)).display());
-    masks.find(photo).map_err(|e| e.to_string())?.ok_or_else(named)
+fn mask(masks: &MaskFiles, folder: &Path, photo: &str) -> Result<PathBuf, AbsentFile> {
+    masks.find(photo)?.ok_or_else(|| AbsentFile::Mask(folder.join(MaskFiles::wanted(photo))))
 }
 
-/// The query for a target, from the files that are there; or why there is none.
+/// The query for a target, from the files that are there.
+///
+/// # Errors
+/// [`ProtocolError::Missing`] when too few are there, and when a file of prompts cannot be read.
 fn query(
     root: &Path,
     target: &PaperTarget,
     scene: &Scene,
     clicks: usize,
-) -> Result<Result<EvalQuery, Vec<String>>, ProtocolError> {
+) -> Result<EvalQuery, ProtocolError> {
     let folder = root.join("truth").join(&target.folder);
     let masks = MaskFiles::new(&folder, scene.views.iter().map(|v| v.name.as_str()));
-    let (mut truth, mut missing) = (Vec::new(), Vec::new());
+    let (mut truth, mut absent) = (Vec::new(), Vec::new());
     for wanted in &target.truth {
         match photo(scene, wanted).and_then(|photo| Ok((photo, mask(&masks, &folder, photo)?))) {
             Ok((photo, mask)) => truth.push((photo.to_owned(), mask)),
-            Err(why) => missing.push(format!("{why}; it is not scored")),
+            Err(why) => absent.push(format!("{why}; it is not scored")),
         }
     }
-    let prompts = match prompts(&folder, &masks, target, scene, clicks)? {
+    let refused = |what| ProtocolError::Missing(Missing { what, layout: LAYOUT.into() });
+    let prompts = match prompts(&folder, &masks, target, scene, clicks) {
         Ok(prompts) => prompts,
-        Err(why) => {
-            missing.insert(0, why);
-            return Ok(Err(missing));
+        Err(ProtocolError::Missing(Missing { mut what, .. })) => {
+            what.append(&mut absent);
+            return Err(refused(what));
         }
+        Err(other) => return Err(other),
     };
     if truth.is_empty() {
-        return Ok(Err(missing));
+        return Err(refused(absent));
     }
-    Ok(Ok(EvalQuery { target: target.name.clone(), prompt: 0, prompts, truth, missing }))
+    Ok(EvalQuery { target: target.name.clone(), prompt: 0, prompts, truth, missing: absent })
 }
 
-/// Clicks on a target's reference photo, or those of its file of prompts; or what is missing for them.
+/// Clicks on a target's reference photo, or those of its file of prompts.
+///
+/// # Errors
+/// [`ProtocolError::Missing`] when the photo or its mask is not there, and when the file of prompts cannot be read.
 fn prompts(
     folder: &Path,
     masks: &MaskFiles,
     target: &PaperTarget,
     scene: &Scene,
     clicks: usize,
-) -> Result<Result<Vec<PhotoPrompts>, String>, ProtocolError> {
+) -> Result<Vec<PhotoPrompts>, ProtocolError> {
     let file = folder.join("prompts.json");
     if file.is_file() {
         let prompts = Replay::read(&file)?.prompts;
         let absent = prompts.iter().find_map(|p| photo(scene, stem(&p.photo)).err());
-        return Ok(match absent {
-            Some(why) => Err(format!("{why}; {} clicks in it", file.display())),
+        return match absent {
+            Some(why) => Err(missing(format!("{why}; {} clicks in it", file.display()))),
             None => Ok(prompts),
-        });
+        };
     }
-    let photo = match photo(scene, &target.reference) {
-        Ok(photo) => photo.to_owned(),
-        Err(why) => return Ok(Err(format!("{why}; it is the reference photo"))),
-    };
-    let mask = match mask(masks, folder, &photo) {
-        Ok(mask) => mask,
-        Err(why) => return Ok(Err(format!("{why}, or prompts.json beside it: it is the reference photo's"))),
-    };
-    let clicked = match Mask::read_png(&mask) {
-        Ok(clicked) => clicked,
-        Err(error) => return Ok(Err(format!("the reference photo's mask: {error}"))),
-    };
+    let photo = photo(scene, &target.reference)
+        .map_err(|why| missing(format!("{why}; it is the reference photo")))?
+        .to_owned();
+    let mask = mask(masks, folder, &photo)
+        .map_err(|why| missing(format!("{why}, or prompts.json beside it: it is the reference photo's")))?;
+    let clicked =
+        Mask::read_png(&mask).map_err(|error| missing(format!("the reference photo's mask: {error}")))?;
     let points = clicks::inside(&clicked, clicks);
     if points.is_empty() {
-        return Ok(Err(format!("a white pixel in {}, the reference photo's mask", mask.display())));
+        return Err(missing(format!("a white pixel in {}, the reference photo's mask", mask.display())));
     }
-    Ok(Ok(vec![PhotoPrompts { photo, prompts: Prompts { points, ..Prompts::default() } }]))
+    Ok(vec![PhotoPrompts { photo, prompts: Prompts { points, ..Prompts::default() } }])
 }

@@ -49,49 +49,51 @@ pub fn scenes(
     }
     let mut found = FoundScenes { scenes: Vec::new(), missing };
     for scene in names {
-        match eval_scene(&scene, options.clicks, settings, seed)? {
+        match eval_scene(&scene, options.clicks, settings, seed) {
             Ok(eval_scene) => found.scenes.push(eval_scene),
-            Err(what) => found.missing.push(what),
+            Err(ProtocolError::Missing(missing)) => found.missing.extend(missing.what),
+            Err(other) => return Err(other),
         }
     }
     found.or_refused(LAYOUT)
 }
 
-/// A scene with its query, or what is missing of it.
+/// A scene with its query.
+///
+/// # Errors
+/// [`ProtocolError::Missing`] when a part of it is missing, and when its masks cannot be listed.
 fn eval_scene(
     scene: &Path,
     clicks: usize,
     settings: &Settings,
     seed: u64,
-) -> Result<Result<EvalScene, String>, ProtocolError> {
+) -> Result<EvalScene, ProtocolError> {
+    let missing = |what: String| ProtocolError::missing(what, LAYOUT);
     let name = scene.file_name().unwrap_or_default().to_string_lossy().into_owned();
     if !scene.is_dir() {
-        return Ok(Err(format!("the scene {}", scene.display())));
+        return Err(missing(format!("the scene {}", scene.display())));
     }
     let Some(labels) = LABELS.iter().map(|l| scene.join(l)).find(|l| l.is_dir()) else {
-        return Ok(Err(format!("the masks of {name}: {}", scene.join(LABELS[0]).display())));
+        return Err(missing(format!("the masks of {name}: {}", scene.join(LABELS[0]).display())));
     };
-    let photos = match photos(scene, settings) {
-        Ok(photos) => photos,
-        Err(error) => return Ok(Err(format!("the scene {}: {error}", scene.display()))),
-    };
+    let photos = photos(scene, settings)
+        .map_err(|error| missing(format!("the scene {}: {error}", scene.display())))?;
     let mut truth = masks_in(&labels, &photos)?;
     if truth.len() < 2 {
         let (n, labels) = (truth.len(), labels.display());
-        return Ok(Err(format!("two masks in {labels} that are named as photos of {name}: there are {n}")));
+        let what = format!("two masks in {labels} that are named as photos of {name}: there are {n}");
+        return Err(missing(what));
     }
     let (photo, file) = truth.remove(0);
-    let mask = match Mask::read_png(&file) {
-        Ok(mask) => mask,
-        Err(error) => return Ok(Err(format!("the reference photo's mask: {error}"))),
-    };
+    let mask =
+        Mask::read_png(&file).map_err(|error| missing(format!("the reference photo's mask: {error}")))?;
     let points = clicks::inside(&mask, clicks);
     if points.is_empty() {
-        return Ok(Err(format!("a white pixel in {}, the reference photo's mask", file.display())));
+        return Err(missing(format!("a white pixel in {}, the reference photo's mask", file.display())));
     }
     let prompts = vec![PhotoPrompts { photo, prompts: Prompts { points, ..Prompts::default() } }];
     let queries = vec![EvalQuery { target: name.clone(), prompt: 0, prompts, truth, missing: Vec::new() }];
-    Ok(Ok(EvalScene {
+    Ok(EvalScene {
         protocol: "spin-nerf",
         name,
         scene: scene.into(),
@@ -99,5 +101,5 @@ fn eval_scene(
         queries,
         split: None,
         held_out: false,
-    }))
+    })
 }
