@@ -9,7 +9,7 @@ use segwild_eval::oracle::OracleOptions;
 use segwild_eval::trial::{ProviderKind, Trial};
 use segwild_pipeline::{RunOptions, Settings, run};
 use segwild_raster::{Channels, CpuEngine, Rasterizer};
-use segwild_scene::Mask;
+use segwild_scene::{Mask, SceneError};
 use segwild_segmenter::coverage::{coverage, soft, unoccluded};
 use segwild_segmenter::{Evidence, MaskMode, Vote, owned};
 use segwild_synthetic::{ObjectKind, SyntheticOptions};
@@ -67,8 +67,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("{} splats, PSNR {:?}", model.splats.len(), model.stats.psnr);
     let source = Arc::new(loaded.scene.clone());
     let skies: Vec<Mask> = scene.views.iter().map(|v| truth(&v.name).sky()).collect();
-    let photos = Arc::new(move |view: usize| -> Result<TrainPhoto, String> {
-        let loaded = source.views[view].load(pixels).map_err(|e| e.to_string())?;
+    let photos = Arc::new(move |view: usize| -> Result<TrainPhoto, SceneError> {
+        let loaded = source.views[view].load(pixels)?;
         Ok(TrainPhoto {
             image: loaded.image,
             valid: loaded.valid,

@@ -7,14 +7,13 @@
 
 use segwild_raster::CpuEngine;
 use segwild_scene::settings::{Group, Value};
-use segwild_scene::{Image, Mask, Scene, SceneSettings};
+use segwild_scene::{Image, Mask, ReaderError, Scene, SceneSettings};
 use segwild_trainer::{Preset, Protocol, TrainPhoto, Trainer, evaluate, render_view};
 use segwild_vision::{Builtin, SkyDetector};
-use std::error::Error;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> Result<(), ReaderError> {
     let mut args = std::env::args().skip(1);
     let path = PathBuf::from(args.next().ok_or("usage: train_scene SCENE [--out DIR] [--SETTING VALUE]...")?);
     let (mut out, mut sky_dir) = (None::<PathBuf>, None::<PathBuf>);
@@ -40,17 +39,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     let scene = Arc::new(scene);
     let (of, size) = (scene.clone(), open.size);
     let finder = Builtin::new();
-    let photos = Arc::new(move |i: usize| -> Result<TrainPhoto, String> {
+    let photos = Arc::new(move |i: usize| -> Result<TrainPhoto, ReaderError> {
         let view = &of.views[i];
-        let photo = view.load(size).map_err(|e| e.to_string())?;
+        let photo = view.load(size)?;
         let sky = match &sky_dir {
-            Some(dir) if dir.as_os_str() == "builtin" => {
-                Some(finder.sky(&photo.image).map_err(|e| e.to_string())?)
-            }
+            Some(dir) if dir.as_os_str() == "builtin" => Some(finder.sky(&photo.image)?),
             Some(dir) => {
                 let stem = PathBuf::from(&view.name).file_stem().expect("a file name").to_owned();
-                let mask =
-                    Mask::read_png(&dir.join(stem).with_extension("png")).map_err(|e| e.to_string())?;
+                let mask = Mask::read_png(&dir.join(stem).with_extension("png"))?;
                 Some(mask.resized(photo.camera.width, photo.camera.height))
             }
             None => None,
