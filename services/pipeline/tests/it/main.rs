@@ -1,4 +1,5 @@
 //! Every integration test of the crate in one program: it links once.
 
 mod coordinator;
+mod dataflow;
 mod simulated;

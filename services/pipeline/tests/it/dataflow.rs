@@ -1,4 +1,6 @@
 //! Where a run computes, and who holds the accelerator: seen by providers from inside a real run.
+//!
+//! The accelerator and its counts belong to the whole process: no other test of this program may hold it.
 
 use rayon::prelude::*;
 use segwild_pipeline::{RunFolder, RunOptions, Settings, accelerator, run};
