@@ -7,6 +7,32 @@
 //!
 //! It runs no stage by itself: each scene is a `segwild run` of its own, which resumes.
 //!
+//! ```
+//! use segwild_farm::{EmbeddedEngine, Job, JobEngine, JobState, Needs, Published, Retry, WorkerOffer};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let engine = EmbeddedEngine::open(folder.path().join("jobs.sqlite"))?;
+//! let needs = Needs { cores: 2, memory_bytes: 1 << 30, accelerators: 0 };
+//! let job = Job {
+//!     id: "liberty".into(),
+//!     payload: "photos/liberty".into(),
+//!     priority: 0,
+//!     needs,
+//!     retry: Retry::default(),
+//! };
+//! assert_eq!(engine.publish(&job)?, Published::New);
+//!
+//! // A worker with too little memory gets nothing; the next one gets a lease, and nobody else the same job.
+//! let offer = WorkerOffer { worker: "here".into(), free: needs, whole: needs, lease_s: 60.0 };
+//! let small = WorkerOffer { free: Needs { memory_bytes: 1 << 20, ..needs }, ..offer.clone() };
+//! assert!(engine.claim(&small)?.is_none());
+//! let lease = engine.claim(&offer)?.expect("it is free");
+//! assert!(engine.claim(&offer)?.is_none());
+//! engine.complete(&lease, "runs/liberty")?;
+//! assert_eq!(engine.jobs()?[0].state, JobState::Done);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! Start reading at `engine.rs`, then `batch/mod.rs`.
 
 pub mod batch;

@@ -7,6 +7,36 @@
 //! Channels are uploaded, unless they are kept there for many views; images and gradients are downloaded. Splats in
 //! training stay on the device too, with their optimiser, photos and networks (`training.rs`), and so do features
 //! while they are refined (`field/`): then a whole step is submitted at once.
+//!
+//! ```
+//! use glam::Vec3;
+//! use segwild_gpu::{AdapterChoice, GpuEngine, GpuError};
+//! use segwild_raster::{Channels, CpuEngine, ProjectOptions, Rasterizer};
+//! use segwild_scene::{Camera, Pose, Splats};
+//!
+//! // Without an accelerator the CPU engine renders the same.
+//! let engine: Box<dyn Rasterizer> = match GpuEngine::new(&AdapterChoice::Hardware) {
+//!     Ok(engine) => Box::new(engine),
+//!     Err(GpuError::NoAdapter(_)) => Box::new(CpuEngine::new()),
+//!     Err(error) => return Err(error.into()),
+//! };
+//! let splats = Splats {
+//!     means: vec![[0.0, 0.0, 2.0]],
+//!     log_scales: vec![[-2.0; 3]],
+//!     rotations: vec![[1.0, 0.0, 0.0, 0.0]],
+//!     opacities: vec![4.0],
+//!     sh: vec![0.5; 3],
+//!     ..Splats::default()
+//! };
+//! let camera = Camera { width: 32, height: 24, fx: 30.0, fy: 30.0, cx: 16.0, cy: 12.0 };
+//! let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
+//! let view = engine.project(&splats, &camera, &pose, &ProjectOptions::default())?;
+//! let frame = view.blend(&Channels { count: 3, values: &view.shade() })?;
+//! assert!(frame.alpha.data[12 * 32 + 16] > 0.9 && frame.alpha.data[0] == 0.0);
+//! # Ok::<(), segwild_raster::RasterError>(())
+//! ```
+//!
+//! Start reading at `engine.rs`, then `view.rs`.
 
 #[cfg(test)]
 extern crate self as segwild_gpu;

@@ -10,6 +10,50 @@
 //!
 //! It makes points, no meshes and no depth maps to keep.
 //!
+//! ```
+//! use glam::{DVec3, Vec2, Vec3};
+//! use segwild_mvs::{StereoImage, points};
+//! use segwild_scene::{Camera, Image, Observation, Photo, Point, Pose, Scene, SceneFrame, View};
+//!
+//! // Four cameras before a wall at z = 1, on which no two spots look alike.
+//! let camera = Camera { width: 72, height: 54, fx: 60.0, fy: 60.0, cx: 36.0, cy: 27.0 };
+//! let wall = |p: Vec3| 0.5 + 0.2 * (19.0 * p.x + 3.0 * (9.0 * p.y).sin()).sin() + 0.2 * (29.0 * p.y + 5.0 * p.x).sin();
+//! let views: Vec<View> = (0..4)
+//!     .map(|i| {
+//!         let eye = Vec3::new(0.2 * i as f32 - 0.3, 0.0, -0.5);
+//!         let (path, seal, reading) = ("".into(), Default::default(), Default::default());
+//!         let photo = Photo { path, ignore: None, usable: None, lens: None, seal, reading };
+//!         let pose = Pose::look_at(eye, eye + Vec3::Z, Vec3::NEG_Y);
+//!         View { name: format!("{i}.jpg"), camera, pose, photo, test: false }
+//!     })
+//!     .collect();
+//! let on_wall = |view: &View, pixel: Vec2| {
+//!     let (eye, ray) = (view.pose.centre(), view.pose.rotation.transpose() * view.camera.ray(pixel));
+//!     eye + ray * ((1.0 - eye.z) / ray.z)
+//! };
+//! let images = views.iter().map(|view| {
+//!     let pixel = |i: usize| wall(on_wall(view, Vec2::new((i % 72) as f32 + 0.5, (i / 72) as f32 + 0.5)));
+//!     let data = (0..3 * 72 * 54).map(|i| pixel(i % (72 * 54))).collect();
+//!     StereoImage { image: Image { width: 72, height: 54, channels: 3, data }, usable: None }
+//! });
+//! let images = images.collect();
+//! // The reconstruction has a dozen points.
+//! let few = (0..12).map(|i| {
+//!     let position = Vec3::new(0.2 * (i % 4) as f32 - 0.3, 0.3 * (i / 4) as f32 - 0.3, 1.0);
+//!     let track = views.iter().zip(0..).filter_map(|(of, view)| {
+//!         let pixel = camera.pixel(of.pose.to_camera(position));
+//!         camera.contains(pixel).then(|| Observation { view, pixel: pixel.into() })
+//!     });
+//!     Point { position, colour: [0.5; 3], track: track.collect() }
+//! });
+//! let (points_before, frame) = (few.collect(), SceneFrame { origin: DVec3::ZERO, scale: 1.0 });
+//! let scene = Scene { views, points: points_before, skipped: vec![], notes: vec![], frame };
+//!
+//! let found = points(&scene, &[0, 1, 2, 3], images, 1000, 1, &|| false).expect("nobody stops it");
+//! assert!(found.len() > 300, "{}", found.len());
+//! assert!(found.iter().filter(|p| (p.position.z - 1.0).abs() < 0.03).count() * 10 > found.len() * 9);
+//! ```
+//!
 //! Start reading at [`points`], then `sweep.rs`.
 
 mod agree;

@@ -6,6 +6,57 @@
 //!
 //! It makes no masks and no features, and selects nothing. What it minimises is in [`segwild_objective`].
 //!
+//! ```
+//! use glam::{DVec3, Vec2, Vec3};
+//! use segwild_raster::CpuEngine;
+//! use segwild_scene::{Camera, Image, Photo, Point, Pose, Scene, SceneFrame, View};
+//! use segwild_trainer::{AppearanceModel, TrainPhoto, TrainSettings, Trainer};
+//! use std::convert::Infallible;
+//! use std::sync::Arc;
+//!
+//! // Three cameras before a wall at z = 1 that is dark on the left and bright on the right, and points on it.
+//! let camera = Camera { width: 48, height: 36, fx: 40.0, fy: 40.0, cx: 24.0, cy: 18.0 };
+//! let wall = |x: f32| if x < 0.0 { 0.2 } else { 0.8 };
+//! let views: Vec<View> = (0..3)
+//!     .map(|i| {
+//!         let eye = Vec3::new(0.2 * i as f32 - 0.2, 0.0, -0.5);
+//!         let (path, seal, reading) = ("".into(), Default::default(), Default::default());
+//!         let photo = Photo { path, ignore: None, usable: None, lens: None, seal, reading };
+//!         let pose = Pose::look_at(eye, eye + Vec3::Z, Vec3::NEG_Y);
+//!         View { name: format!("{i}.jpg"), camera, pose, photo, test: false }
+//!     })
+//!     .collect();
+//! let points = (0..300).map(|i| {
+//!     let position = Vec3::new(0.1 * (i % 20) as f32 - 0.95, 0.1 * (i / 20) as f32 - 0.7, 1.0);
+//!     Point { position, colour: [wall(position.x); 3], track: vec![] }
+//! });
+//! let frame = SceneFrame { origin: DVec3::ZERO, scale: 1.0 };
+//! let scene = Scene { views, points: points.collect(), skipped: vec![], notes: vec![], frame };
+//! let poses: Vec<Pose> = scene.views.iter().map(|view| view.pose).collect();
+//! let photos = Arc::new(move |view: usize| {
+//!     let x = |i: usize| poses[view].centre().x + 1.5 * camera.ray(Vec2::new((i % 48) as f32 + 0.5, 0.0)).x;
+//!     let data = (0..3 * 48 * 36).map(|i| wall(x(i))).collect();
+//!     let image = Image { width: 48, height: 36, channels: 3, data };
+//!     Ok::<_, Infallible>(TrainPhoto { image, valid: None, sky: None, transients: None })
+//! });
+//!
+//! let (appearance_model, robust) = (AppearanceModel::None, false);
+//! let settings = TrainSettings { steps: 60, splats: 600, appearance_model, robust, ..TrainSettings::default() };
+//! let mut trainer = Trainer::new(Arc::new(CpuEngine::new()), &scene, photos, settings)?;
+//! for _ in 0..20 {
+//!     trainer.step()?;
+//! }
+//! let [loss_before, ..] = trainer.means();
+//! while !trainer.is_done() {
+//!     trainer.step()?;
+//! }
+//! let [loss, ..] = trainer.means();
+//! assert!(loss < loss_before, "{loss_before}, then {loss}");
+//! let model = trainer.finish()?;
+//! assert!(!model.splats.is_empty());
+//! # Ok::<(), segwild_trainer::TrainError>(())
+//! ```
+//!
 //! Start reading at `trainer.rs`, then `step.rs`.
 
 mod actor;
