@@ -18,7 +18,7 @@ fn options() -> SyntheticOptions {
         seed: 5,
         train: PHOTOS,
         test: 2,
-        long_side: 208,
+        long_side: 176,
         points: 2500,
         ..SyntheticOptions::default()
     }
@@ -26,7 +26,7 @@ fn options() -> SyntheticOptions {
 
 fn settings() -> Settings {
     let mut settings = Settings::preset(Preset::Draft);
-    settings.train.steps = 600;
+    settings.train.steps = 400;
     settings.features.refine_steps = 20;
     settings.masks.prompt_budget = 64;
     settings
