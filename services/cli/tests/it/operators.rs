@@ -393,7 +393,7 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
     let dir = folder();
     let batch = dir.path().join("batch");
     // One scene is done, and somebody has clicked in it; the other one is still to come.
-    let file = manifest(dir.path(), 6000, &["one"], "");
+    let file = manifest(dir.path(), 1500, &["one"], "");
     works(&["batch", &file, "--out", &show(&batch), "--until", "features"]);
     // So small a scene is not sharp everywhere: one of the objects will do.
     let clicks: Vec<_> = shared_run().manifest.objects.iter().flat_map(|o| &o.clicks).collect();
@@ -404,7 +404,7 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
             .success()
     });
     assert!(hit, "none of {} clicks selects anything", clicks.len());
-    let file = manifest(dir.path(), 6000, &["one", "two"], "");
+    let file = manifest(dir.path(), 1500, &["one", "two"], "");
     // Prometheus waits for the batch, not the other way round: on a fast machine its start takes as long as the batch.
     let (prometheus, target) = free_ports();
     // The rules as they are shipped, looked at so often that the shortest stage is seen.
