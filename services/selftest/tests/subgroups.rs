@@ -44,8 +44,9 @@ const FAULTS: &[(bool, &str, &str, &str)] = &[
 #[test]
 fn a_fault_in_either_way_to_sum_is_seen() {
     let engines = either_way("a_fault_in_either_way_to_sum_is_seen");
-    for engine in &engines {
-        for step in check(engine).expect("every kernel runs") {
+    // By subgroups every kernel is checked in `parity.rs`.
+    if let Some(plain) = engines.last() {
+        for step in check(plain).expect("every kernel runs") {
             assert!(step.off.is_none(), "without a fault: {step:?}");
         }
     }
