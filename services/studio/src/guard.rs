@@ -7,59 +7,13 @@ use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use std::fmt;
+use segwild_proto::Token;
 use std::net::SocketAddr;
 use std::sync::Arc;
-
-/// Bytes of a token.
-const TOKEN_BYTES: usize = 24;
-
-/// Letters of a token from a file, at least.
-const SHORTEST: usize = 16;
 
 /// What the browser may load and do: nothing from elsewhere, no script in the page itself.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; \
                       base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
-
-/// A secret that a client must know.
-#[derive(Clone)]
-pub struct Token(String);
-
-impl fmt::Debug for Token {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        f.write_str("Token(..)")
-    }
-}
-
-impl Token {
-    /// A new one, by the system's generator of secrets.
-    ///
-    /// # Errors
-    /// When the system has none.
-    pub fn random() -> Result<Token, std::io::Error> {
-        let mut bytes = [0; TOKEN_BYTES];
-        getrandom::fill(&mut bytes).map_err(|e| std::io::Error::other(e.to_string()))?;
-        Ok(Token(bytes.iter().map(|b| format!("{b:02x}")).collect()))
-    }
-
-    /// One that a person chose: at least 16 letters, digits, dashes or underscores.
-    pub fn of(text: &str) -> Option<Token> {
-        let text = text.trim();
-        let plain = text.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_');
-        (plain && text.len() >= SHORTEST && text.len() <= 256).then(|| Token(text.to_owned()))
-    }
-
-    /// Its text.
-    pub fn text(&self) -> &str {
-        &self.0
-    }
-
-    /// Whether a client's text is the token. The time it takes says nothing about where they differ.
-    fn is(&self, text: &str) -> bool {
-        let (own, given) = (blake3::hash(self.0.as_bytes()), blake3::hash(text.as_bytes()));
-        own == given
-    }
-}
 
 /// What requests are checked against.
 pub(crate) struct Guard {
@@ -163,21 +117,4 @@ async fn checked(guard: &Guard, request: Request, next: Next) -> Response {
         );
     }
     next.run(request).await
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn tokens_are_long_and_differ() {
-        let (a, b) = (Token::random().unwrap(), Token::random().unwrap());
-        assert!(a.text() != b.text() && a.text().len() == 2 * TOKEN_BYTES);
-        assert!(a.is(a.text()) && !a.is(b.text()) && !a.is(""));
-        assert_eq!(format!("{a:?}"), "Token(..)");
-        for refused in ["short", "with space and more text", "semi;colon;semi;colon", ""] {
-            assert!(Token::of(refused).is_none(), "{refused}");
-        }
-        assert_eq!(Token::of(" a-long-enough-token\n").unwrap().text(), "a-long-enough-token");
-    }
 }

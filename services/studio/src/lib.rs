@@ -30,7 +30,6 @@ mod server;
 mod store;
 mod studio;
 
-pub use guard::Token;
 pub use regions::{Combination, MOST_POINTS, Region, RegionRule};
 pub use runs::has_runs;
 pub use server::{ServeOptions, StudioServer, serve};

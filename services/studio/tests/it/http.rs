@@ -1,7 +1,8 @@
 //! The server: who may ask, what it answers, what it refuses.
 
 use crate::common::run;
-use segwild_studio::{ServeOptions, StudioServer, Token, serve};
+use segwild_proto::Token;
+use segwild_studio::{ServeOptions, StudioServer, serve};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
