@@ -99,6 +99,7 @@ pub fn counted(providers: &Providers) -> (Providers, Calls) {
         name: providers.name.clone(),
         notes: providers.notes.clone(),
         networks: providers.networks.clone(),
+        remote_calls: providers.remote_calls,
     };
     (providers, calls)
 }

@@ -5,6 +5,7 @@ use clap::builder::PossibleValuesParser;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_pipeline::Settings;
 use segwild_scene::settings::Field;
+use segwild_vision::VisionSettings;
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -174,6 +175,8 @@ fn setting(field: &'static Field, heading: String) -> Arg {
         .long_help(with_default(field.doc));
     match field.choices {
         [] => arg,
+        // An address is meant as well.
+        _ if field.name == "masks" => arg.value_name("WORD|ADDRESS"),
         choices => arg.value_parser(PossibleValuesParser::new(choices)),
     }
 }
@@ -182,7 +185,8 @@ fn setting(field: &'static Field, heading: String) -> Arg {
 fn value_name(field: &Field) -> &'static str {
     match field.name {
         "images" | "ignore" | "keep_masks" | "transient_masks" | "split" | "models" | "transient_network"
-        | "onnxruntime" => "PATH",
+        | "onnxruntime" | "vision_token_file" => "PATH",
+        "vision_service" => "ADDRESS",
         "object_appearance" => "PHOTO",
         _ => field.kind,
     }
@@ -198,5 +202,10 @@ pub fn given(matches: &ArgMatches) -> Vec<(String, String)> {
             }
         }
     }
-    pairs
+    VisionSettings::with_services(&pairs)
+}
+
+/// The names of settings that say where networks and services are, for commands that click.
+pub fn names_code(name: &str) -> bool {
+    name != "transient_network" && VisionSettings::CODE.contains(&name)
 }

@@ -16,6 +16,7 @@ use segwild_pipeline::{RunError, SettingsError};
 use segwild_scene::SceneError;
 use segwild_segmenter::SegmentError;
 use segwild_synthetic::SyntheticError;
+use segwild_vision::{ServiceError, VisionError};
 use std::path::Path;
 
 /// Why the program ends early.
@@ -67,6 +68,12 @@ pub fn plain(message: &str) -> String {
 impl From<RunError> for Failure {
     fn from(error: RunError) -> Failure {
         let code = match &error {
+            // A vision service does not answer: no fault of the disk.
+            RunError::Storage { reason, .. } if ServiceError::is_gone(reason) => exit::INCOMPLETE,
+            RunError::Vision(VisionError::Service(ServiceError::Address(_) | ServiceError::Token { .. })) => {
+                exit::USAGE
+            }
+            RunError::Vision(VisionError::Service(_)) => exit::INCOMPLETE,
             // The disk's fault, and not the scene's.
             RunError::Scene(SceneError::File(_)) => exit::FOLDER,
             // The next attempt leaves the photo out, if it cannot be used, and keeps what was computed.

@@ -121,6 +121,7 @@ pub enum EmbedError {
         /// Name of the photo.
         name: String,
         /// The model's error.
+        #[source]
         reason: VisionError,
     },
 }

@@ -227,8 +227,11 @@ impl<E: std::error::Error + Send + Sync + 'static> From<E> for ActorFailure {
 
 /// Whether an error says that the disk or the system refused something.
 fn of_storage(error: &(dyn std::error::Error + 'static)) -> bool {
-    use std::io::ErrorKind::{QuotaExceeded, ReadOnlyFilesystem, StorageFull};
-    let of_disk = |e: &std::io::Error| matches!(e.kind(), StorageFull | QuotaExceeded | ReadOnlyFilesystem);
+    use std::io::ErrorKind::{NotConnected, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
+    // Not connected: a service that the work needs does not answer, and no message is at fault.
+    let of_disk = |e: &std::io::Error| {
+        matches!(e.kind(), StorageFull | QuotaExceeded | ReadOnlyFilesystem | NotConnected)
+    };
     let of_system = |e: &std::io::Error| of_disk(e) || is_shortage(e);
     error.is::<FileError>() || error.downcast_ref().is_some_and(of_system)
 }

@@ -133,6 +133,7 @@ pub enum MaskFailure {
         /// Name of the photo.
         name: String,
         /// The detector's error.
+        #[source]
         reason: VisionError,
     },
     /// Prompts or masks cannot be made.
@@ -141,6 +142,7 @@ pub enum MaskFailure {
         /// Name of the photo.
         name: String,
         /// What is wrong.
+        #[source]
         reason: MaskError,
     },
     /// A fault was armed here.

@@ -16,7 +16,7 @@ pub fn accelerator() -> &'static Lease {
 /// The same providers; those that declare an accelerator hold the lease while they compute. Clicks and skies come
 /// before the others.
 pub(crate) fn leased(providers: &Providers) -> Providers {
-    let Providers { embedder, proposer, segmenter, sky, transients, name, notes, networks } =
+    let Providers { embedder, proposer, segmenter, sky, transients, name, notes, networks, remote_calls } =
         providers.clone();
     Providers {
         embedder: if embedder.accelerator() { Arc::new(Leased(embedder)) } else { embedder },
@@ -27,6 +27,7 @@ pub(crate) fn leased(providers: &Providers) -> Providers {
         name,
         notes,
         networks,
+        remote_calls,
     }
 }
 

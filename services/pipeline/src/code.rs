@@ -13,14 +13,19 @@ use std::sync::Arc;
 
 /// Where the record is in the run folder.
 const RECORD: &str = "networks.json";
-/// The environment variable for the folder of models; that for the library is `ORT_DYLIB_PATH`.
+/// The environment variables for settings of [`VisionSettings::CODE`]; that for the library is `ORT_DYLIB_PATH`.
+const VARIABLES: [(&str, &str); 3] = [
+    ("models", MODELS),
+    ("vision_service", "SEGWILD_VISION_SERVICE"),
+    ("vision_token_file", "SEGWILD_VISION_TOKEN_FILE"),
+];
 const MODELS: &str = "SEGWILD_MODELS";
 
 /// The paths of networks and their library as given now: by flags, else by the environment.
 #[derive(Clone, Debug, Default)]
 pub struct Code {
     flags: BTreeMap<&'static str, String>,
-    models: Option<String>,
+    environment: BTreeMap<&'static str, String>,
 }
 
 impl Code {
@@ -30,30 +35,47 @@ impl Code {
             let value = flags.iter().rev().find(|(flag, _)| flag == name).map(|(_, value)| value.clone());
             value.map(|value| (*name, value))
         };
-        let models = std::env::var(MODELS).ok().filter(|models| !models.is_empty());
-        Code { flags: VisionSettings::CODE.iter().filter_map(given).collect(), models }
+        let variable = |(name, variable): &(&'static str, &str)| {
+            let value = std::env::var(variable).ok().filter(|value| !value.is_empty())?;
+            Some((*name, value))
+        };
+        Code {
+            flags: VisionSettings::CODE.iter().filter_map(given).collect(),
+            environment: VARIABLES.iter().filter_map(variable).collect(),
+        }
     }
 
     /// Takes them from settings that do not come from a run folder.
     pub fn of(settings: &VisionSettings) -> Code {
-        let VisionSettings { models, transient_network, onnxruntime, .. } = settings;
-        let values = [models, transient_network, onnxruntime].map(String::clone);
-        Code { flags: VisionSettings::CODE.into_iter().zip(values).collect(), models: None }
+        let VisionSettings {
+            models, transient_network, onnxruntime, vision_service, vision_token_file, ..
+        } = settings;
+        let values =
+            [models, transient_network, onnxruntime, vision_service, vision_token_file].map(String::clone);
+        Code { flags: VisionSettings::CODE.into_iter().zip(values).collect(), environment: BTreeMap::new() }
+    }
+
+    /// The same as environment variables, for a process that is started.
+    pub fn variables(&self) -> impl Iterator<Item = (&'static str, &str)> {
+        VARIABLES.iter().filter_map(|(name, variable)| Some((*variable, self.value(name)?)))
+    }
+
+    /// What is given for a setting.
+    fn value(&self, name: &str) -> Option<&str> {
+        self.flags.get(name).or_else(|| self.environment.get(name)).map(String::as_str)
     }
 
     /// Writes the paths into settings. Flags replace what is there; the environment fills what is empty.
     pub fn tell(&self, settings: &mut VisionSettings) {
-        let VisionSettings { models, transient_network, onnxruntime, .. } = settings;
-        for (name, setting) in VisionSettings::CODE.iter().zip([&mut *models, transient_network, onnxruntime])
-        {
-            if let Some(value) = self.flags.get(name) {
+        let VisionSettings {
+            models, transient_network, onnxruntime, vision_service, vision_token_file, ..
+        } = settings;
+        let all = [&mut *models, transient_network, onnxruntime, vision_service, vision_token_file];
+        for (name, setting) in VisionSettings::CODE.iter().zip(all) {
+            let given = self.flags.get(name);
+            if let Some(value) = given.or_else(|| self.environment.get(name).filter(|_| setting.is_empty())) {
                 setting.clone_from(value);
             }
-        }
-        if let Some(named) =
-            self.models.as_ref().filter(|_| !self.flags.contains_key("models") && models.is_empty())
-        {
-            models.clone_from(named);
         }
     }
 
@@ -67,9 +89,11 @@ impl Code {
     }
 
     fn names(&self, before: &[NetworkFile], settings: &VisionSettings) -> Result<(), RunError> {
-        for (setting, value) in
-            [("models", &settings.models), ("transient_network", &settings.transient_network)]
-        {
+        for (setting, value) in [
+            ("models", &settings.models),
+            ("transient_network", &settings.transient_network),
+            ("vision_service", &settings.vision_service),
+        ] {
             let of_setting = || before.iter().filter(|network| network.setting == setting);
             let Some(first) = of_setting().next().filter(|_| value.is_empty()) else { continue };
             if !self.flags.contains_key(setting) {
@@ -82,6 +106,13 @@ impl Code {
 
 /// The message about a network that is not given, with the flag that names it.
 fn not_given(setting: &str, first: &NetworkFile, others: usize) -> String {
+    if setting == "vision_service" {
+        return format!(
+            "this run was made with a vision service, and photos are never sent to where a run folder says: give --vision-service \
+             grpc://HOST:PORT (the run says {}); --vision-service '' goes on without",
+            first.file.display()
+        );
+    }
     let more = if others > 0 { format!(" and {others} more") } else { String::new() };
     let flag = setting.replace('_', "-");
     let (what, environment) = match setting {
@@ -137,7 +168,11 @@ pub(crate) fn record(folder: &RunFolder, networks: &[NetworkFile]) -> Result<Vec
 pub(crate) fn changes(before: &[NetworkFile], now: &[NetworkFile]) -> Vec<String> {
     let mut changes = Vec::new();
     for old in before.iter().filter(|old| !old.hash.is_empty()) {
-        let same_name = |new: &&NetworkFile| new.file.file_name() == old.file.file_name();
+        let same_name = |new: &&NetworkFile| match old.setting.as_str() {
+            // The same models may be served elsewhere today.
+            "vision_service" => new.setting == old.setting,
+            _ => new.file.file_name() == old.file.file_name(),
+        };
         match now.iter().find(same_name) {
             Some(new) if new.hash == old.hash => {}
             Some(new) => changes.push(format!(
@@ -168,7 +203,7 @@ pub fn providers_for(folder: &RunFolder, code: &Code) -> Result<Providers, RunEr
 
 /// The networks that clicks use.
 pub(crate) fn of_clicks(mut networks: Vec<NetworkFile>) -> Vec<NetworkFile> {
-    networks.retain(|network| network.setting == "models");
+    networks.retain(|network| network.setting != "transient_network");
     networks
 }
 
@@ -208,7 +243,8 @@ mod tests {
         let without = Code { flags: [("models", String::new())].into(), ..Code::default() };
         without.names_networks_of(&folder, &VisionSettings::default()).unwrap();
         let mut named = VisionSettings::default();
-        Code { models: Some("/elsewhere".into()), ..Code::default() }.tell(&mut named);
+        let environment = |folder: &str| BTreeMap::from([("models", folder.to_owned())]);
+        Code { environment: environment("/elsewhere"), ..Code::default() }.tell(&mut named);
         assert_eq!(named.models, "/elsewhere");
         nothing.names_networks_of(&folder, &named).unwrap();
     }
@@ -227,13 +263,29 @@ mod tests {
     }
 
     #[test]
+    fn a_run_made_with_a_service_wants_its_address_again_wherever_it_is_now() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = RunFolder::create(dir.path()).unwrap();
+        record(&folder, &[network("vision_service", "grpc://gpu:1", "01")]).unwrap();
+        let message =
+            Code::default().names_networks_of(&folder, &VisionSettings::default()).unwrap_err().to_string();
+        assert!(message.contains("--vision-service grpc://HOST:PORT") && message.contains("grpc://gpu:1"));
+        let elsewhere = [network("vision_service", "grpc://other:2", "01")];
+        assert!(changes(&recorded(&folder), &elsewhere).is_empty());
+        let other = [network("vision_service", "grpc://gpu:1", "02")];
+        assert_eq!(changes(&recorded(&folder), &other).len(), 1);
+    }
+
+    #[test]
     fn a_flag_says_where_networks_are_before_the_environment_and_that_before_nothing() {
         let flags = [("models".to_owned(), "/flag".to_owned()), ("tau".to_owned(), "1".to_owned())];
-        let code = Code { models: Some("/environment".into()), ..Code::given(&flags) };
+        let environment = BTreeMap::from([("models", "/environment".to_owned())]);
+        let code = Code { environment: environment.clone(), ..Code::given(&flags) };
+        assert!(code.variables().any(|pair| pair == (MODELS, "/flag")));
         let mut settings = VisionSettings { models: "/file".into(), ..VisionSettings::default() };
         code.tell(&mut settings);
         assert_eq!(settings.models, "/flag");
-        let code = Code { models: Some("/environment".into()), ..Code::default() };
+        let code = Code { environment, ..Code::default() };
         settings.models = "/file".into();
         code.tell(&mut settings);
         assert_eq!(settings.models, "/file", "a settings file of the user's own");

@@ -85,6 +85,9 @@ settings! {
         /// Most MiB of memory that the run may take; 0 sets no limit. The same holds for an accelerator's own memory.
         /// Caches shrink to fit; what cannot fit is refused before the start.
         memory_budget: u32 = 0,
+        /// Photos that masks and descriptors are made of at the same time, beside the training. 0: half of the cores, and as many
+        /// as vision services take.
+        photos_at_once: u32 = 0 => 0..=64,
         /// Memory in MiB for photos that were decoded, until the next stage reads them.
         photo_memory: u32 = 64,
         /// Checkpoints of the training that are kept; with 2, a damaged one has another to fall back on.
@@ -173,15 +176,28 @@ compose! {
 /// Most photos that are worked on at once: each takes memory.
 pub(crate) const AT_ONCE: usize = 8;
 
+/// The same for photos that vision services work on.
+const MOST_REMOTE: usize = 32;
+
 impl Settings {
     /// Most photos that an actor works on at once beside the training: half of the cores, since the training takes the
     /// others.
     pub(crate) fn most_photos_at_once(&self) -> usize {
+        if self.run.photos_at_once > 0 {
+            return self.run.photos_at_once as usize;
+        }
         let cores = match self.run.threads {
             0 => segwild_flow::all_cores(),
             threads => threads as usize,
         };
         (cores / 2).clamp(1, AT_ONCE)
+    }
+
+    /// Works on as many photos at once as vision services take calls, whatever the cores.
+    pub(crate) fn allow_remote_calls(&mut self, calls: usize) {
+        if calls > 0 && self.run.photos_at_once == 0 {
+            self.run.photos_at_once = self.most_photos_at_once().max(calls.min(MOST_REMOTE)) as u32;
+        }
     }
 
     /// The defaults of a preset under a budget.
@@ -278,6 +294,7 @@ impl Settings {
             &mut vision.models,
             &mut vision.transient_network,
             &mut vision.onnxruntime,
+            &mut vision.vision_token_file,
         ] {
             if !path.is_empty()
                 && Path::new(&*path).exists()
@@ -414,6 +431,14 @@ mod tests {
         };
         assert_eq!([1, 2, 3, 4, 9, 256].map(photos_at_once), [1, 1, 1, 2, 4, AT_ONCE]);
         assert!((1..=AT_ONCE).contains(&photos_at_once(0)));
+        let mut settings = Settings::default();
+        settings.allow_remote_calls(0);
+        assert_eq!(settings.run.photos_at_once, 0);
+        settings.run.threads = 2;
+        settings.allow_remote_calls(4);
+        assert_eq!(settings.most_photos_at_once(), 4);
+        settings.allow_remote_calls(60);
+        assert_eq!(settings.most_photos_at_once(), 4, "what is set stays");
     }
 
     #[test]

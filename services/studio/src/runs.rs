@@ -7,7 +7,7 @@ use segwild_farm::BatchFolder;
 use segwild_flow::{FileError, Stopper, files};
 use segwild_monitor::view::RunState;
 use segwild_monitor::{MonitorTarget, MonitorView};
-use segwild_pipeline::{RunFolder, TrainingSnapshot};
+use segwild_pipeline::{Code, RunFolder, TrainingSnapshot};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -56,6 +56,8 @@ pub(crate) struct ServedRuns {
     stopper: Stopper,
     /// The program that trains.
     program: Option<PathBuf>,
+    /// The networks and services for all runs.
+    code: Code,
     /// Runs that are being trained again.
     training: Mutex<BTreeMap<String, Child>>,
 }
@@ -64,7 +66,7 @@ pub(crate) struct ServedRuns {
 const CONTINUED: &str = "0.2";
 
 impl ServedRuns {
-    pub fn new(root: &Path, memory_budget: usize, program: Option<PathBuf>) -> ServedRuns {
+    pub fn new(root: &Path, memory_budget: usize, program: Option<PathBuf>, code: Code) -> ServedRuns {
         let root = root.canonicalize().unwrap_or_else(|_| root.to_owned());
         ServedRuns {
             // A folder that is not there yet will be a run's.
@@ -74,6 +76,7 @@ impl ServedRuns {
             open: Mutex::default(),
             stopper: Stopper::new(),
             program,
+            code,
             training: Mutex::default(),
         }
     }
@@ -133,6 +136,7 @@ impl ServedRuns {
             .arg("--out")
             .arg(&folder)
             .args(["--continue-share", CONTINUED, "--stop-with-parent"])
+            .envs(self.code.variables())
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(Stdio::null())
@@ -203,7 +207,7 @@ impl ServedRuns {
         let began = Instant::now();
         let open = || {
             let folder = RunFolder::open(folder)?;
-            Studio::open_at(&folder, name, snapshot, &self.stopper)
+            Studio::open_at(&folder, name, snapshot, &self.code, &self.stopper)
         };
         let mut opened = open();
         // A session of an earlier snapshot still answers its last requests.

@@ -1,12 +1,14 @@
 //! The server: listens, guards, answers.
 
-use crate::guard::{Guard, Token, guard};
+use crate::guard::{Guard, guard};
 use crate::routes::routes;
 use crate::runs::ServedRuns;
 use axum::extract::DefaultBodyLimit;
 use axum::middleware::from_fn_with_state;
 use segwild_monitor::connections::ConnectionLimits;
 use segwild_monitor::{ServeError, Server, start};
+use segwild_pipeline::Code;
+use segwild_proto::Token;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -34,6 +36,8 @@ pub struct ServeOptions {
     pub memory_budget: usize,
     /// The `segwild` program, to train a run again without its corrected transients; `None` where nobody may.
     pub program: Option<PathBuf>,
+    /// The networks and services that clicks use, where runs were made with some.
+    pub code: Code,
 }
 
 impl Default for ServeOptions {
@@ -43,6 +47,7 @@ impl Default for ServeOptions {
             token: None,
             memory_budget: MEMORY_BUDGET,
             program: None,
+            code: Code::given(&[]),
         }
     }
 }
@@ -75,10 +80,10 @@ impl StudioServer {
 /// # Errors
 /// When the address cannot be listened on, or no secret can be had.
 pub fn serve(folder: &Path, options: ServeOptions) -> Result<StudioServer, ServeError> {
-    let ServeOptions { address, token, memory_budget, program } = options;
+    let ServeOptions { address, token, memory_budget, program, code } = options;
     let token = token.map_or_else(Token::random, Ok).map_err(ServeError::Start)?;
     let server = start(address, CONNECTIONS, THREADS, |address| {
-        let runs = Arc::new(ServedRuns::new(folder, memory_budget, program));
+        let runs = Arc::new(ServedRuns::new(folder, memory_budget, program, code));
         runs.open_first();
         let guards = Guard { token: token.clone(), address, loopback: address.ip().is_loopback() };
         routes(runs)

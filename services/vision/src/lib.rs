@@ -1,5 +1,5 @@
-//! 2D models behind traits (docs/method.md, sections 4 and 5): the built-in provider, which needs no weights, and ONNX
-//! networks run by ort.
+//! 2D models behind traits (docs/method.md, sections 4 and 5): the built-in provider, which needs no weights, ONNX
+//! networks run by ort, and services on other machines.
 //!
 //! It knows no scene in 3D: images, clicks and boxes go in, embeddings and masks come out.
 //!
@@ -32,6 +32,7 @@ mod provider;
 mod providers;
 mod registry;
 mod sam;
+mod service;
 mod settings;
 
 pub use builtin::{
@@ -47,4 +48,8 @@ pub use provider::{
 pub use providers::{BUILT_IN, Providers};
 pub use registry::{Family, ModelFile, models_in};
 pub use sam::Sam;
+pub use service::{
+    AddressError, RemoteVision, ServiceAddress, ServiceError, ServiceTerms, TokenFileError, VisionServer,
+    VisionServiceOptions, serve_vision,
+};
 pub use settings::{DeviceChoice, EdgeChoice, ModelChoice, SkyChoice, VisionSettings};

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 /// A network file in use.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct NetworkFile {
-    /// The setting that led to it: `models` or `transient_network`.
+    /// The setting that led to it: `models`, `transient_network` or `vision_service`.
     pub setting: String,
-    /// Where it is.
+    /// Where it is: a path, or the addresses of services.
     pub file: PathBuf,
     /// The first 16 digits of its BLAKE3, hexadecimal; those of weights beside it are in it.
     pub hash: String,

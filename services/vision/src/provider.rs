@@ -1,6 +1,7 @@
 //! The traits of 2D models. Images are sRGB in [0, 1], three planes; masks have the image's size.
 
 use crate::onnx::ModelFileError;
+use crate::service::ServiceError;
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
 use std::path::PathBuf;
 
@@ -18,6 +19,9 @@ pub enum VisionError {
         /// What is wrong with it.
         reason: Box<ModelFileError>,
     },
+    /// A vision service does not serve.
+    #[error(transparent)]
+    Service(#[from] ServiceError),
     /// The image does not fit the provider.
     #[error("{0}")]
     Image(String),

@@ -4,17 +4,25 @@ use crate::geometry::{ColourSky, GeometrySky, JointSky};
 use crate::network_file::NetworkFile;
 use crate::onnx::Runtime;
 use crate::registry::{DEEPLAB, EDGES, SKY};
+use crate::service::{RemoteVision, ServiceAddress, ServiceError, ServiceTerms, TokenFileError};
 use crate::settings::{EdgeChoice, ModelChoice, SkyChoice, VisionSettings};
 use crate::{
     Builtin, EdgeDetector, EdgeNetwork, Embedder, MaskProposer, PromptSegmenter, RegionCache, SkyDetector,
     SkyNetwork, TransientDetector, TransientNetwork, VisionError,
 };
+use segwild_proto::Token;
 use segwild_scene::{Image, Mask};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Name of the built-in provider of masks, as records, tables and reports have it.
 pub const BUILT_IN: &str = "built-in";
+
+/// Time in which the first vision service must answer: a wrong address is reported at once.
+const FIRST_PATIENCE: Duration = Duration::from_secs(10);
+/// Most bytes of a file with a token.
+const MOST_TOKEN: u64 = 1024;
 
 /// The providers that settings name, and notes on what was found and used.
 #[derive(Clone)]
@@ -29,13 +37,15 @@ pub struct Providers {
     pub sky: Arc<dyn SkyDetector>,
     /// Persons and vehicles, if a network for them was named.
     pub transients: Option<Arc<dyn TransientDetector>>,
-    /// Name of the provider of masks and clicks, as records, tables and reports have it: [`BUILT_IN`], or `sam:` and the stem of
-    /// its files. Other implementations of the traits give a name of their own.
+    /// Name of the provider of masks and clicks, as records, tables and reports have it: [`BUILT_IN`], `sam:` and the stem of
+    /// its files, or `remote:` and the name that a vision service has for its model. Other implementations of the traits give a name of their own.
     pub name: String,
     /// What was found and chosen, a sentence each.
     pub notes: Vec<String>,
-    /// The network files in use.
+    /// The network files in use, and the vision services.
     pub networks: Vec<NetworkFile>,
+    /// Calls that vision services take at the same time; 0 without one.
+    pub remote_calls: usize,
 }
 
 /// Nothing is sky: for scenes without any, and for the ablation.
@@ -94,6 +104,7 @@ impl Providers {
             )));
         }
         let (mut notes, mut networks) = (Vec::new(), Vec::new());
+        let service = connected(settings)?.map(Arc::new);
         let sam = crate::sam::find_pair(settings, &mut notes)?;
         networks.extend(sam.iter().flat_map(|sam| sam.files()));
         let edges = edges(settings, &mut notes, &mut networks)?;
@@ -103,9 +114,27 @@ impl Providers {
         };
         // SAM's embeddings and the built-in provider's analyses share what photos may take.
         let shares = if sam.is_some() { 2 } else { 1 };
-        let by_sam = |choice: ModelChoice| sam.clone().filter(|_| choice != ModelChoice::Builtin);
+        let by_service = |choice: ModelChoice, has: fn(&RemoteVision) -> bool| {
+            let wanted = matches!(choice, ModelChoice::Auto | ModelChoice::Service);
+            service.clone().filter(|service| wanted && has(service))
+        };
+        let by_sam = |choice: ModelChoice| {
+            let wanted = matches!(choice, ModelChoice::Auto | ModelChoice::Sam);
+            sam.clone().filter(|_| wanted)
+        };
+        let (remote_embedder, remote_masks) = (
+            by_service(settings.embedder, RemoteVision::embeds),
+            by_service(settings.masks, RemoteVision::finds_masks),
+        );
+        for (choice, remote, what) in [
+            (settings.embedder, &remote_embedder, "describe photos (Embed)"),
+            (settings.masks, &remote_masks, "find masks (ProposeMasks and SegmentPrompts)"),
+        ] {
+            demand(choice == ModelChoice::Service && remote.is_none(), what, service.as_deref())?;
+        }
         let builtin = builtin.within(settings.vision_memory as usize * (1 << 20) / shares);
-        let builtin = Arc::new(match cache.filter(|_| by_sam(settings.masks).is_none()) {
+        let is_builtin = remote_masks.is_none() && by_sam(settings.masks).is_none();
+        let builtin = Arc::new(match cache.filter(|_| is_builtin) {
             Some(cache) => builtin.keeping(cache),
             None => builtin,
         });
@@ -113,14 +142,27 @@ impl Providers {
             (false, None) => " (SAM is not there, or not asked for)",
             _ => "",
         };
-        let note = |what: &str, sam: bool| match sam {
-            true => format!("{what}: SAM"),
-            false => format!("{what}: built-in{without}"),
+        let note = |what: &str, service: &Option<Arc<RemoteVision>>, sam: bool| match (service, sam) {
+            (Some(service), _) => {
+                format!("{what}: {} by the vision service {}", service.name(), service.addresses())
+            }
+            (None, true) => format!("{what}: SAM"),
+            (None, false) => format!("{what}: built-in{without}"),
         };
-        notes.push(note("descriptors", by_sam(settings.embedder).is_some()));
-        notes.push(note("masks, clicks and refinement", by_sam(settings.masks).is_some()));
+        notes.push(note("descriptors", &remote_embedder, by_sam(settings.embedder).is_some()));
+        notes.push(note("masks, clicks and refinement", &remote_masks, by_sam(settings.masks).is_some()));
+        let remote_sky = service.clone().filter(|service| service.finds_skies());
+        demand(
+            settings.sky == SkyChoice::Service && remote_sky.is_none(),
+            "find skies (FindSky)",
+            service.as_deref(),
+        )?;
         let sky: Arc<dyn SkyDetector> = match sky(settings, &builtin, &mut notes, &mut networks)? {
             Some(network) => network,
+            None if let Some(service) = remote_sky.filter(|_| settings.sky == SkyChoice::Service) => {
+                notes.push(format!("sky: the vision service {}", service.addresses()));
+                service
+            }
             None if settings.sky == SkyChoice::None => {
                 notes.push("sky: none".into());
                 Arc::new(NoSky)
@@ -141,19 +183,31 @@ impl Providers {
                 Arc::new(ColourSky(builtin.clone()))
             }
         };
-        let embedder: Arc<dyn Embedder> = match by_sam(settings.embedder) {
-            Some(sam) => sam,
-            None => builtin.clone(),
+        let embedder: Arc<dyn Embedder> = match (&remote_embedder, by_sam(settings.embedder)) {
+            (Some(service), _) => service.clone(),
+            (None, Some(sam)) => sam,
+            (None, None) => builtin.clone(),
         };
-        let name =
-            by_sam(settings.masks).map_or_else(|| BUILT_IN.to_owned(), |sam| format!("sam:{}", sam.stem()));
+        let by_sam = by_sam(settings.masks);
+        let name = match (&remote_masks, &by_sam) {
+            (Some(service), _) => format!("remote:{}", service.name()),
+            (None, Some(sam)) => format!("sam:{}", sam.stem()),
+            (None, None) => BUILT_IN.to_owned(),
+        };
         let (proposer, segmenter): (Arc<dyn MaskProposer>, Arc<dyn PromptSegmenter>) =
-            match by_sam(settings.masks) {
-                Some(sam) => (sam.clone(), sam),
-                None => (builtin.clone(), builtin),
+            match (remote_masks, by_sam) {
+                (Some(service), _) => (service.clone(), service),
+                (None, Some(sam)) => (sam.clone(), sam),
+                (None, None) => (builtin.clone(), builtin),
             };
         let transients: Option<Arc<dyn TransientDetector>> = match settings.transient_network.as_str() {
-            "" => None,
+            "" => match service.clone().filter(|service| service.finds_transients()) {
+                Some(service) => {
+                    notes.push(format!("persons and vehicles: the vision service {}", service.addresses()));
+                    Some(service)
+                }
+                None => None,
+            },
             file => {
                 let runtime = Runtime::find_within(&settings.onnxruntime, settings.network_memory)?;
                 let network = TransientNetwork::load(&runtime, Path::new(file), settings.network_threads)?;
@@ -165,7 +219,46 @@ impl Providers {
                 Some(Arc::new(network))
             }
         };
-        Ok(Providers { embedder, proposer, segmenter, sky, transients, name, notes, networks })
+        networks.extend(service.iter().map(|service| service.as_network_file()));
+        let remote_calls = service.map_or(0, |service| service.calls());
+        Ok(Providers { embedder, proposer, segmenter, sky, transients, name, notes, networks, remote_calls })
+    }
+}
+
+/// Connects to the vision services, if there are any.
+fn connected(settings: &VisionSettings) -> Result<Option<RemoteVision>, VisionError> {
+    let addresses = ServiceAddress::list(&settings.vision_service).map_err(ServiceError::Address)?;
+    if addresses.is_empty() {
+        return Ok(None);
+    }
+    let file = Path::new(&settings.vision_token_file);
+    let token = match settings.vision_token_file.as_str() {
+        "" => None,
+        _ => Some(token_of(file).map_err(|reason| ServiceError::Token { file: file.to_owned(), reason })?),
+    };
+    let terms = ServiceTerms {
+        deadline: Duration::from_secs(settings.network_limit.into()),
+        patience: Duration::from_secs(settings.vision_patience.into()),
+        first_patience: FIRST_PATIENCE.min(Duration::from_secs(settings.vision_patience.into())),
+    };
+    Ok(Some(RemoteVision::connect(addresses, token.as_ref(), terms)?))
+}
+
+fn token_of(file: &Path) -> Result<Token, TokenFileError> {
+    let bytes = segwild_files::read_within(file, MOST_TOKEN)?;
+    String::from_utf8(bytes).ok().and_then(|text| Token::of(&text)).ok_or(TokenFileError::NoToken)
+}
+
+/// Refuses a choice that asks for a service which is not named, or does not have what is asked for.
+fn demand(lacks: bool, what: &str, service: Option<&RemoteVision>) -> Result<(), VisionError> {
+    match (lacks, service) {
+        (false, _) => Ok(()),
+        (true, None) => Err(VisionError::Model(format!(
+            "a vision service is to {what}, but none is named: give --vision-service grpc://HOST:PORT"
+        ))),
+        (true, Some(service)) => {
+            Err(VisionError::Model(format!("the vision service {} does not {what}", service.addresses())))
+        }
     }
 }
 
@@ -208,7 +301,9 @@ fn sky(
     let name = match settings.sky {
         SkyChoice::Network | SkyChoice::Both => SKY,
         SkyChoice::Deeplab => DEEPLAB,
-        SkyChoice::Auto | SkyChoice::Builtin | SkyChoice::Geometry | SkyChoice::None => return Ok(None),
+        SkyChoice::Auto | SkyChoice::Builtin | SkyChoice::Geometry | SkyChoice::Service | SkyChoice::None => {
+            return Ok(None);
+        }
     };
     let Some(path) = file(settings, name, true)? else { return Ok(None) };
     let runtime = Runtime::find_within(&settings.onnxruntime, settings.network_memory)?;

@@ -1,6 +1,7 @@
 //! Settings of the vision models.
 
 use crate::onnx::MEMORY_MIB;
+use crate::service::ServiceAddress;
 
 segwild_scene::choice! {
     /// Where boundaries come from.
@@ -30,6 +31,8 @@ segwild_scene::choice! {
         Deeplab = "deeplab",
         /// Where the reconstruction saw nothing, above what it saw.
         Geometry = "geometry",
+        /// The services of `vision_service`; an error without them.
+        Service = "service",
         /// Nothing is sky.
         None = "none",
     }
@@ -38,12 +41,15 @@ segwild_scene::choice! {
 segwild_scene::choice! {
     /// What describes photos, or what finds masks.
     pub enum ModelChoice {
-        /// SAM if its files are in the models' folder, else the built-in provider.
+        /// The services of `vision_service` if there are any, else SAM if its files are in the models' folder, else the built-in
+        /// provider.
         Auto = "auto",
         /// The built-in provider.
         Builtin = "builtin",
         /// SAM; an error without its files.
         Sam = "sam",
+        /// The services of `vision_service`; an error without them.
+        Service = "service",
     }
 }
 
@@ -61,7 +67,7 @@ segwild_scene::choice! {
 
 segwild_scene::settings! {
     /// How photos are analysed: boundaries, regions, descriptors, sky.
-    pub struct VisionSettings("vision", user: models masks sky transient_network) {
+    pub struct VisionSettings("vision", user: models masks vision_service sky transient_network) {
         /// Folder of network files, SAM's among them. Files are `edges_bsds.onnx`, `sky_small_384.onnx`,
         /// `deeplab_cityscapes_513.onnx`, and pairs of the SAM family such as `mobile_sam_encoder.onnx` and
         /// `mobile_sam_decoder.onnx`. Empty: SEGWILD_MODELS; without that no network is used and the built-in provider
@@ -74,10 +80,18 @@ segwild_scene::settings! {
         /// Network file whose persons and vehicles are transients from the start. It answers the classes of Cityscapes
         /// (such as `deeplab_cityscapes_513.onnx`). Empty: none. It is never read from a run folder.
         transient_network: String = String::new(),
-        /// What finds masks and answers clicks. `auto`: SAM if its files are there.
+        /// What finds masks: auto, builtin, sam, service or an address. It answers clicks as well. `auto`: a vision service if one
+        /// is named, else SAM if its files are there. An address `grpc://HOST:PORT` is short for `vision_service` and `service`.
         masks: ModelChoice = ModelChoice::Auto,
-        /// What describes photos for the feature field: auto (SAM if its files are there), builtin or sam.
+        /// What describes photos for the feature field: auto (as for `masks`), builtin, sam or service.
         embedder: ModelChoice = ModelChoice::Auto,
+        /// Vision services that have the models, with commas between. Each is `grpc://HOST:PORT`: `segwild vision serve` on another
+        /// machine, or a server of your own; all have the same models. Empty: none. It is never read from a run folder.
+        vision_service: String = String::new(),
+        /// File with the token that the vision services want. Empty: none. It is never read from a run folder.
+        vision_token_file: String = String::new(),
+        /// Seconds for which a run waits when no vision service answers any more. Then it stops, and the same command continues.
+        vision_patience: u32 = 120 => 1..,
         /// Stem of the names of SAM's files (`mobile_sam`, `sam_vit_b`, ..). Empty: the first that is there, lightest first.
         sam: String = String::new(),
         /// Where SAM computes: auto (CUDA where the ONNX Runtime has it), cpu or cuda.
@@ -92,7 +106,7 @@ segwild_scene::settings! {
         /// Most MiB that all networks together may hold; a file that asks for more is refused. The largest SAM encoders need
         /// more than this on a CPU.
         network_memory: u32 = MEMORY_MIB => 64..,
-        /// Most seconds that SAM may take for one photo or for one batch of prompts.
+        /// Most seconds that SAM or a vision service may take for one photo or for one batch of prompts.
         network_limit: u32 = 600 => 1..,
         /// Probability from which a pixel counts as sky.
         sky_confidence: f32 = 0.5 => 0.0..=1.0,
@@ -103,7 +117,38 @@ segwild_scene::settings! {
 }
 
 impl VisionSettings {
-    /// Settings that name code: a library that is loaded, networks that it executes. They come from whoever runs the program
-    /// (a flag, the environment, a settings file of their own), never from a folder that somebody may have sent.
-    pub const CODE: [&'static str; 3] = ["models", "transient_network", "onnxruntime"];
+    /// Settings that name code, or machines that are trusted as code is: a library that is loaded, networks that it executes,
+    /// services that photos are sent to. They come from whoever runs the program (a flag, the environment, a settings file of
+    /// their own), never from a folder that somebody may have sent.
+    pub const CODE: [&'static str; 5] =
+        ["models", "transient_network", "onnxruntime", "vision_service", "vision_token_file"];
+
+    /// Flags with `masks = grpc://..` written out: the service, and that it finds masks.
+    pub fn with_services(flags: &[(String, String)]) -> Vec<(String, String)> {
+        let named =
+            |(name, value): &(String, String)| match name == "masks" && ServiceAddress::is_meant(value) {
+                true => vec![
+                    ("vision_service".to_owned(), value.clone()),
+                    (name.clone(), ModelChoice::Service.to_string()),
+                ],
+                false => vec![(name.clone(), value.clone())],
+            };
+        flags.iter().flat_map(named).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn masks_from_an_address_are_the_service_and_the_choice_of_it() {
+        let flags = [("masks", "grpc://a:1,grpc://b:2"), ("embedder", "sam"), ("tau", "1")];
+        let flags: Vec<(String, String)> = flags.map(|(n, v)| (n.to_owned(), v.to_owned())).into();
+        let written = VisionSettings::with_services(&flags);
+        let shown: Vec<String> = written.iter().map(|(name, value)| format!("{name}={value}")).collect();
+        assert_eq!(shown, ["vision_service=grpc://a:1,grpc://b:2", "masks=service", "embedder=sam", "tau=1"]);
+        let other = [("masks".to_owned(), "sam".to_owned())];
+        assert_eq!(VisionSettings::with_services(&other), other);
+    }
 }

@@ -16,6 +16,7 @@ mod segment;
 mod serve;
 mod status;
 mod top;
+mod vision;
 
 use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command};
@@ -44,6 +45,7 @@ pub fn program() -> Command {
             status::command(),
             top::command(),
             cache::command(),
+            vision::command(),
             demo::command(),
             doctor::command(),
             bench::command(),
@@ -83,6 +85,7 @@ pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
         Some(("top", m)) => top::top(m),
         Some(("status", m)) => status::status(m),
         Some(("cache", m)) => cache::cache(m),
+        Some(("vision", m)) => vision::vision(m),
         Some(("demo", m)) => demo::demo(m),
         Some(("doctor", m)) => doctor::doctor(m, program()),
         Some(("bench", m)) => bench::bench(m),

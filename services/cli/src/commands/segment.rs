@@ -13,11 +13,10 @@ use segwild_segmenter::Alternative;
 
 /// The command's arguments.
 pub fn command() -> Command {
-    let names_code = |name: &str| matches!(name, "models" | "onnxruntime");
     with_fields(
         with_table(Command::new("segment").about("Click an object in one photo, get it in 3D"), "segment"),
         "vision",
-        names_code,
+        args::names_code,
     )
     .arg(args::run())
     .arg(args::photos("Photo of the prompts that follow; repeat for a second photo"))

@@ -1,6 +1,6 @@
 //! `segwild serve`
 
-use crate::args::{self, examples, flag, number, path_of};
+use crate::args::{self, examples, flag, number, path_of, with_fields};
 use crate::exit;
 use crate::failure::Failure;
 use crate::output::print_line;
@@ -8,8 +8,9 @@ use crate::progress::on_ctrl_c;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_flow::{Phase, Stopper};
 use segwild_monitor::ServeError;
-use segwild_pipeline::RunFolder;
-use segwild_studio::{ServeOptions, StudioServer, Token, has_runs, serve as serve_page};
+use segwild_pipeline::{Code, RunFolder};
+use segwild_proto::Token;
+use segwild_studio::{ServeOptions, StudioServer, has_runs, serve as serve_page};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
@@ -20,8 +21,9 @@ const PORT: u16 = 7777;
 
 /// The command's arguments.
 pub fn command() -> Command {
-    Command::new("serve")
-        .about("Open the page: see the photos, click an object, keep and export it")
+    let command =
+        Command::new("serve").about("Open the page: see the photos, click an object, keep and export it");
+    with_fields(command, "vision", args::names_code)
         .arg(
             Arg::new("run")
                 .required(true)
@@ -101,7 +103,9 @@ pub fn page_of_run(matches: &ArgMatches, folder: &Path, json: bool) -> Result<Op
     if !matches.get_flag("serve") {
         return Ok(None);
     }
-    let server = on_loopback(folder, ServeOptions { program: own_program(), ..ServeOptions::default() })?;
+    let code = Code::given(&args::given(matches));
+    let server =
+        on_loopback(folder, ServeOptions { program: own_program(), code, ..ServeOptions::default() })?;
     let line = format!("the page: {}", server.address());
     // With `--json` standard output has objects only.
     if json {
@@ -147,13 +151,14 @@ fn page(folder: &Path, listen: Option<SocketAddr>, matches: &ArgMatches) -> Resu
         )));
     }
     let token = token_file.map(|file| token_of(&file)).transpose()?;
+    let code = Code::given(&args::given(matches));
     let mib = *matches.get_one::<u32>("memory-budget").expect("it has a default") as usize;
-    let options = ServeOptions { address, token, memory_budget: mib << 20, program: own_program() };
+    let options = ServeOptions { address, token, memory_budget: mib << 20, program: own_program(), code };
     Ok(if listen.is_some() { serve_page(folder, options)? } else { on_loopback(folder, options)? })
 }
 
 /// The token of a file; a new one is written where the file is missing.
-fn token_of(file: &Path) -> Result<Token, Failure> {
+pub fn token_of(file: &Path) -> Result<Token, Failure> {
     let failed = |message: String| Failure { message, code: exit::FOLDER };
     match segwild_flow::files::read_within(file, 1024) {
         Ok(bytes) => String::from_utf8(bytes).ok().and_then(|text| Token::of(&text)).ok_or_else(|| {

@@ -20,6 +20,7 @@ mod photos;
 mod received;
 mod resume;
 mod sam_runs;
+mod service;
 mod skies;
 mod stuck;
 mod traces;

@@ -97,8 +97,9 @@ pub fn prepare(
     );
 
     let steps_open = settings.train.steps == 0;
-    let settings = memory::within_budget(&settings.decided(&scene), &scene)?;
+    let mut settings = memory::within_budget(&settings.decided(&scene), &scene)?;
     let providers = providers_of(folder, &settings, options)?;
+    settings.allow_remote_calls(providers.remote_calls);
     intake.provider.clone_from(&providers.name);
     for note in &providers.notes {
         events.info(None, note.clone());

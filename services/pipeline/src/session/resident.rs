@@ -6,7 +6,7 @@ use crate::accelerator::leased;
 use crate::artifacts::folder::{Loaded, TrainingSnapshot};
 use crate::artifacts::images::ImageFiles;
 use crate::artifacts::scene_tree::TreeSource;
-use crate::code::{self, Code};
+use crate::code::{Code, providers_for};
 use crate::output::light::{self, find};
 use crate::output::objects::ListRequest;
 use crate::run::skies;
@@ -27,8 +27,10 @@ use std::time::Instant;
 
 /// How a session is opened.
 pub struct SessionOptions {
-    /// Turns prompts into masks; `None`: the providers of [`crate::providers_for`], with the networks that the environment names.
+    /// Turns prompts into masks; `None`: the providers of [`crate::providers_for`].
     pub providers: Option<Providers>,
+    /// The networks and services for those.
+    pub code: Code,
     /// Whether clicks are answered from the scene tree. It is read from the run's cache, or grown.
     pub tree: bool,
     /// Ends the growing of the tree.
@@ -37,7 +39,7 @@ pub struct SessionOptions {
 
 impl Default for SessionOptions {
     fn default() -> Self {
-        SessionOptions { providers: None, tree: true, stopper: Stopper::new() }
+        SessionOptions { providers: None, code: Code::given(&[]), tree: true, stopper: Stopper::new() }
     }
 }
 
@@ -101,10 +103,10 @@ impl Session {
         options: SessionOptions,
     ) -> Result<Session, RunError> {
         let Loaded { settings: made_with, scene, model, field } = loaded;
-        let SessionOptions { providers, tree, stopper } = options;
+        let SessionOptions { providers, code, tree, stopper } = options;
         let providers = match providers {
             Some(providers) => providers,
-            None => code::providers_for(folder, &Code::given(&[]))?,
+            None => providers_for(folder, &code)?,
         };
         let providers = leased(&providers);
         let size = made_with.scene.size;

@@ -25,7 +25,10 @@ pub fn segment(
     check_all(&replay.prompts)?;
     let tree = settings.first_answer == FirstAnswer::Tree || replay.object.is_some();
     let providers = providers.cloned();
-    let session = Session::open(folder, SessionOptions { providers, tree, stopper: stopper.clone() })?;
+    let session = Session::open(
+        folder,
+        SessionOptions { providers, tree, stopper: stopper.clone(), ..SessionOptions::default() },
+    )?;
     // Before anything is computed.
     session.files.fit(&folder.selection(name))?;
     let answer = session.ask(replay, settings, stopper)?.wait(|_, _| ())?;

@@ -17,7 +17,9 @@ use crate::messages::{
 };
 use crate::store::SelectionStore;
 use segwild_flow::Stopper;
-use segwild_pipeline::{ObjectList, RunFolder, Session, SessionOptions, TrainingSnapshot, list_objects};
+use segwild_pipeline::{
+    Code, ObjectList, RunFolder, Session, SessionOptions, TrainingSnapshot, list_objects,
+};
 use state::{GrowingAnswer, StudioState};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use tokio::sync::watch;
@@ -29,7 +31,7 @@ impl Studio {
     /// # Errors
     /// When the run cannot be read, or another process has its session open.
     pub fn open(folder: &RunFolder, name: &str, stopper: &Stopper) -> Result<Arc<Studio>, StudioError> {
-        Studio::open_at(folder, name, None, stopper)
+        Studio::open_at(folder, name, None, &Code::given(&[]), stopper)
     }
 
     /// The same for a run that is still trained, as it was at a snapshot. What is kept there is asked for again by its prompts once
@@ -41,9 +43,11 @@ impl Studio {
         folder: &RunFolder,
         name: &str,
         snapshot: Option<&TrainingSnapshot>,
+        code: &Code,
         stopper: &Stopper,
     ) -> Result<Arc<Studio>, StudioError> {
-        let options = SessionOptions { stopper: stopper.clone(), ..SessionOptions::default() };
+        let code = code.clone();
+        let options = SessionOptions { code, stopper: stopper.clone(), ..SessionOptions::default() };
         let session = match snapshot {
             Some(snapshot) => Session::open_snapshot(folder, snapshot, options)?,
             None => Session::open(folder, options)?,

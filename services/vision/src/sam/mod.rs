@@ -24,6 +24,7 @@ use encoder::{Encoded, Encoder};
 use frame::PhotoFit;
 use logits::{Logits, Upscale, choose, stability};
 use prompt::{Labelled, PromptGroup};
+pub(crate) use refine::{bounds, middle};
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};

@@ -62,7 +62,7 @@ fn logits_of(certainty: &Image, encoded: &Encoded, side: usize) -> Logits {
 }
 
 /// The corners of a mask's bounding box, pixels' far edges included.
-fn bounds(mask: &Mask) -> [[f32; 2]; 2] {
+pub(crate) fn bounds(mask: &Mask) -> [[f32; 2]; 2] {
     let (mut low, mut high) = ([f32::MAX; 2], [0.0f32; 2]);
     for (x, y) in mask.pixels() {
         for (axis, v) in [(0, x as f32), (1, y as f32)] {
@@ -74,7 +74,7 @@ fn bounds(mask: &Mask) -> [[f32; 2]; 2] {
 }
 
 /// The centre of the pixel farthest from everything outside the mask and from the frame; the first of equals.
-fn middle(mask: &Mask) -> [f32; 2] {
+pub(crate) fn middle(mask: &Mask) -> [f32; 2] {
     let (w, h) = (mask.width() as usize, mask.height() as usize);
     let depths = mask.not().distances();
     let mut best = (f32::NEG_INFINITY, [0.0; 2]);

@@ -5,4 +5,5 @@ mod networks;
 mod photos;
 mod sam;
 mod sam_files;
+mod service;
 mod toy;

@@ -1,0 +1,355 @@
+//! The client: vision services as a provider.
+
+use super::address::ServiceAddress;
+use super::error::ServiceError;
+use super::member::{Client, Member, described};
+use super::pool::{CallError, ServicePool, ServiceTerms};
+use super::wire::{self, Arriving, MOST_MESSAGE, MessageError, NamedImage};
+use crate::network_file::NetworkFile;
+use crate::provider::check_certainty;
+use crate::sam::{bounds, middle};
+use crate::{
+    Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, TransientDetector, VisionError, Work,
+};
+use futures_util::stream;
+use segwild_proto::Token;
+use segwild_proto::v1::{self, Capability, PixelFormat};
+use segwild_scene::{BoxPrompt, Embedding, Image, Mask, PointPrompt, Prompts, ScoredMask};
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::time::Instant;
+use tonic::{Code, Status, Streaming};
+
+/// Part of the keys of all that a service answers, so that no service makes artefacts under the keys of a local model.
+const KEY: &str = "service";
+/// An image that was put and is gone again is put so often.
+const PUTS: usize = 3;
+/// Least IoU of a refined mask with the rough one; below it, the prompts meant something else.
+const LIKE: f64 = 0.5;
+
+/// Models on other machines. Its calls block.
+pub struct RemoteVision {
+    pool: Arc<ServicePool>,
+    runtime: Option<tokio::runtime::Runtime>,
+    work: Mutex<Work>,
+}
+
+impl Drop for RemoteVision {
+    fn drop(&mut self) {
+        if let Some(runtime) = self.runtime.take() {
+            runtime.shutdown_background();
+        }
+    }
+}
+
+impl RemoteVision {
+    /// Connects to services that have the same models.
+    ///
+    /// # Errors
+    /// When none answers, one refuses the token, or two have different models.
+    pub fn connect(
+        addresses: Vec<ServiceAddress>,
+        token: Option<&Token>,
+        terms: ServiceTerms,
+    ) -> Result<RemoteVision, ServiceError> {
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .thread_name("vision client")
+            .enable_all()
+            .build()
+            .map_err(ServiceError::Start)?;
+        let members = {
+            let _inside = runtime.enter();
+            addresses.into_iter().map(|address| Member::new(address, token, MOST_MESSAGE)).collect()
+        };
+        let pool = Arc::new(wait(&runtime, ServicePool::connect(members, terms))?);
+        Ok(RemoteVision { pool, runtime: Some(runtime), work: Mutex::default() })
+    }
+
+    /// Name of their model of masks.
+    pub fn name(&self) -> &str {
+        &self.pool.described.name
+    }
+
+    /// Key of the model of a capability; `None` where they do not have it.
+    pub fn key_of(&self, capability: Capability) -> Option<String> {
+        self.pool.described.keys.get(&capability).map(|key| format!("{KEY} {key}"))
+    }
+
+    /// Whether they answer clicks and propose masks.
+    pub fn finds_masks(&self) -> bool {
+        [Capability::ProposeMasks, Capability::SegmentPrompts].iter().all(|c| self.key_of(*c).is_some())
+    }
+
+    /// Whether they describe photos.
+    pub fn embeds(&self) -> bool {
+        self.key_of(Capability::Embed).is_some()
+    }
+
+    /// Whether they find skies.
+    pub fn finds_skies(&self) -> bool {
+        self.key_of(Capability::FindSky).is_some()
+    }
+
+    /// Whether they find persons and vehicles.
+    pub fn finds_transients(&self) -> bool {
+        self.key_of(Capability::FindTransients).is_some()
+    }
+
+    /// Calls that all of them take at the same time.
+    pub fn calls(&self) -> usize {
+        self.pool.calls()
+    }
+
+    /// What a run records of them, as of a network file.
+    pub(crate) fn as_network_file(&self) -> NetworkFile {
+        let keys = self.pool.described.keys.values().fold(String::new(), |all, key| all + key + "\n");
+        let hash = blake3::hash(keys.as_bytes()).to_hex()[..16].to_owned();
+        let addresses: Vec<String> =
+            self.pool.members.iter().map(|member| member.address.to_string()).collect();
+        NetworkFile { setting: "vision_service".into(), file: addresses.join(",").into(), hash }
+    }
+
+    /// Their addresses, and which of them do not answer yet.
+    pub fn addresses(&self) -> String {
+        let words = |member: &Member| match member.is_unknown() {
+            true => format!("{} (does not answer yet)", member.address),
+            false => member.address.to_string(),
+        };
+        self.pool.members.iter().map(words).collect::<Vec<_>>().join(", ")
+    }
+
+    /// Calls with images that the service must hold: those that it lacks are put.
+    fn call<T, F>(
+        &self,
+        images: &[&Image],
+        operation: impl Fn(Client, Vec<String>) -> F + Send + Sync + 'static,
+    ) -> Result<T, VisionError>
+    where
+        T: Send + 'static,
+        F: Future<Output = Result<T, CallError>> + Send,
+    {
+        let format = self.pool.described.format;
+        let images: Vec<Arc<NamedImage>> = images
+            .iter()
+            .map(|image| {
+                // A plane of probabilities is no photo: 8 bits would cost its small ones.
+                let format = if image.channels == 1 { PixelFormat::F32Planes } else { format };
+                Arc::new(NamedImage::of(image, format))
+            })
+            .collect();
+        let pool = self.pool.clone();
+        let operation = Arc::new(operation);
+        let answer = async move {
+            pool.clone()
+                .call(move |client| {
+                    let (images, operation, pool) = (images.clone(), operation.clone(), pool.clone());
+                    async move {
+                        let hashes =
+                            || images.iter().map(|image| image.hash().to_owned()).collect::<Vec<_>>();
+                        for _ in 0..PUTS {
+                            match operation(client.clone(), hashes()).await {
+                                Err(CallError::Status(status)) if status.code() == Code::NotFound => {}
+                                answer => return answer,
+                            }
+                            // A service that was started again holds no image: it may have become another one.
+                            if described(client.clone()).await?.0 != pool.described {
+                                return Err(CallError::Changed);
+                            }
+                            for image in &images {
+                                client.clone().put_image(stream::iter(image.clone().parts())).await?;
+                            }
+                        }
+                        let message = "it does not keep an image for as long as a call";
+                        Err(Status::failed_precondition(message).into())
+                    }
+                })
+                .await
+        };
+        let runtime = self.runtime.as_ref().expect("it lives as long as this");
+        Ok(wait(runtime, answer)?)
+    }
+
+    fn count(&self, add: impl FnOnce(&mut Work)) {
+        add(&mut self.work.lock().unwrap_or_else(PoisonError::into_inner));
+    }
+
+    fn prompt(&self, image: &Image, prompts: &Prompts) -> Result<Prompted, VisionError> {
+        let (size, prompts) = ([image.width, image.height], prompts.clone());
+        self.call(&[image], move |mut client, hashes| {
+            let request = wire::prompts(hashes[0].clone(), &prompts);
+            async move {
+                let answer = client.segment_prompts(request).await?.into_inner();
+                let scored = answer.answer.ok_or(MessageError("there is no mask"))?;
+                Ok(Prompted {
+                    answer: wire::scored_of(scored, size)?,
+                    open: wire::plane_of(&answer.open, size)?,
+                })
+            }
+        })
+    }
+}
+
+/// Waits for a future of the runtime, from a thread that is none of its own.
+fn wait<T: Send + 'static>(
+    runtime: &tokio::runtime::Runtime,
+    future: impl Future<Output = T> + Send + 'static,
+) -> T {
+    let (send, receive) = mpsc::channel();
+    runtime.spawn(async move { send.send(future.await) });
+    receive.recv().expect("the future ends, and does not panic")
+}
+
+/// All parts of an image that a service answers.
+async fn arrived(mut parts: Streaming<v1::ImagePart>) -> Result<Arriving, CallError> {
+    let mut arriving = Arriving::default();
+    while let Some(part) = parts.message().await? {
+        arriving.push(part)?;
+    }
+    Ok(arriving)
+}
+
+fn key(vision: &RemoteVision, capability: Capability) -> String {
+    vision.key_of(capability).unwrap_or_else(|| KEY.to_owned())
+}
+
+impl Embedder for RemoteVision {
+    fn key(&self) -> String {
+        key(self, Capability::Embed)
+    }
+
+    fn embed(&self, image: &Image) -> Result<Embedding, VisionError> {
+        self.call(&[image], |mut client, hashes| async move {
+            let request = v1::EmbedRequest { image: hashes[0].clone() };
+            Ok(arrived(client.embed(request).await?.into_inner()).await?.embedding()?)
+        })
+    }
+}
+
+impl MaskProposer for RemoteVision {
+    fn key(&self) -> String {
+        key(self, Capability::ProposeMasks)
+    }
+
+    fn propose(&self, image: &Image, points: &[[f32; 2]]) -> Result<Vec<ScoredMask>, VisionError> {
+        let began = Instant::now();
+        let (size, prompts) = ([image.width, image.height], points.len() as u64);
+        let points: Vec<v1::Position> = points.iter().map(|p| wire::position(*p)).collect();
+        let masks = self.call(&[image], move |mut client, hashes| {
+            let request = v1::ProposeMasksRequest { image: hashes[0].clone(), points: points.clone() };
+            // A model may nest some masks per point; more than that fills memory.
+            let most = 16 * (points.len() + 64);
+            async move {
+                let (mut masks, mut answer) = (Vec::new(), client.propose_masks(request).await?.into_inner());
+                while let Some(mask) = answer.message().await? {
+                    if masks.len() == most {
+                        return Err(MessageError("there are more than 16 masks per point").into());
+                    }
+                    masks.push(wire::scored_of(mask, size)?);
+                }
+                Ok(masks)
+            }
+        })?;
+        self.count(|work| {
+            work.prompts += prompts;
+            work.decode_s += began.elapsed().as_secs_f64();
+        });
+        Ok(masks)
+    }
+
+    fn work(&self) -> Option<Work> {
+        Some(*self.work.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+impl PromptSegmenter for RemoteVision {
+    fn key(&self) -> String {
+        key(self, Capability::SegmentPrompts)
+    }
+
+    fn prompted(&self, image: &Image, prompts: &Prompts) -> Result<Prompted, VisionError> {
+        self.prompt(image, prompts)
+    }
+
+    /// Without a call for it, a box and a click in the middle are what is asked.
+    fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {
+        check_certainty(image, certainty)?;
+        let (width, height) = (image.width as u32, image.height as u32);
+        let rough = Mask::over(width, height, certainty.plane(0), 0.5);
+        if self.key_of(Capability::RefineMask).is_none() {
+            if rough.is_empty() {
+                return Ok(ScoredMask { mask: rough, predicted_iou: 0.0, stability: 0.0 });
+            }
+            let ([[x0, y0], [x1, y1]], [x, y]) = (bounds(&rough), middle(&rough));
+            let prompts = Prompts {
+                points: vec![PointPrompt { x, y, inside: true }],
+                boxes: vec![BoxPrompt { x0, y0, x1, y1 }],
+                granularity: None,
+            };
+            let answer = self.prompt(image, &prompts)?.answer;
+            let like = answer.mask.iou(&rough) >= LIKE;
+            return Ok(if like { answer } else { ScoredMask { mask: rough, ..answer } });
+        }
+        let size = [image.width, image.height];
+        let plane = Image { channels: 1, data: certainty.plane(0).to_vec(), ..*certainty };
+        self.call(&[image, &plane], move |mut client, hashes| async move {
+            let request = v1::RefineMaskRequest { image: hashes[0].clone(), certainty: hashes[1].clone() };
+            Ok(wire::scored_of(client.refine_mask(request).await?.into_inner(), size)?)
+        })
+    }
+
+    fn boundary_strengths(&self, image: &Image) -> Result<Option<Image>, VisionError> {
+        if self.key_of(Capability::FindBoundaries).is_none() {
+            return Ok(None);
+        }
+        let size = (image.width, image.height, 1);
+        self.call(&[image], move |mut client, hashes| async move {
+            let request = v1::FindBoundariesRequest { image: hashes[0].clone() };
+            let (found, _) = arrived(client.find_boundaries(request).await?.into_inner()).await?.finish()?;
+            let strengths = found.data.iter().all(|v| (0.0..=1.0).contains(v));
+            if (found.width, found.height, found.channels) != size || !strengths {
+                return Err(
+                    MessageError("the boundaries are no plane of strengths of the photo's size").into()
+                );
+            }
+            Ok(Some(found))
+        })
+    }
+}
+
+impl SkyDetector for RemoteVision {
+    fn key(&self) -> String {
+        key(self, Capability::FindSky)
+    }
+
+    fn sky(&self, image: &Image) -> Result<Mask, VisionError> {
+        self.sky_above(image, &[])
+    }
+
+    fn by_points(&self) -> bool {
+        self.pool.described.sky_uses_points
+    }
+
+    fn sky_above(&self, image: &Image, seen: &[[f32; 2]]) -> Result<Mask, VisionError> {
+        let size = [image.width, image.height];
+        let seen = if self.by_points() { seen } else { &[] };
+        let points: Vec<v1::Position> = seen.iter().map(|p| wire::position(*p)).collect();
+        self.call(&[image], move |mut client, hashes| {
+            let request = v1::FindSkyRequest { image: hashes[0].clone(), points: points.clone() };
+            async move { Ok(wire::mask_of(Some(client.find_sky(request).await?.into_inner()), size)?) }
+        })
+    }
+}
+
+impl TransientDetector for RemoteVision {
+    fn key(&self) -> String {
+        key(self, Capability::FindTransients)
+    }
+
+    fn transients(&self, image: &Image) -> Result<Mask, VisionError> {
+        let size = [image.width, image.height];
+        self.call(&[image], move |mut client, hashes| async move {
+            let request = v1::FindTransientsRequest { image: hashes[0].clone() };
+            Ok(wire::mask_of(Some(client.find_transients(request).await?.into_inner()), size)?)
+        })
+    }
+}

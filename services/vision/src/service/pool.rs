@@ -1,0 +1,282 @@
+//! Several services as one: calls go where there is room, and to another one when a service fails.
+
+use super::error::ServiceError;
+use super::member::{Client, Described, Member, plain};
+use super::wire::MessageError;
+use std::error::Error;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::sync::{Notify, OwnedSemaphorePermit};
+use tonic::{Code, Status};
+
+/// A call that a service answers with an error of its own, or not in time, is tried so often in all.
+const ATTEMPTS: u32 = 3;
+/// Longest time until the services are checked again for one that may be called.
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
+
+/// How long services are waited for.
+#[derive(Clone, Copy, Debug)]
+pub struct ServiceTerms {
+    /// For an answer.
+    pub deadline: Duration,
+    /// For one of them to come back, when none answers any more.
+    pub patience: Duration,
+    /// For the first one to answer.
+    pub first_patience: Duration,
+}
+
+/// Services with the same models.
+pub(super) struct ServicePool {
+    pub members: Vec<Member>,
+    pub described: Described,
+    pub terms: ServiceTerms,
+    freed: Notify,
+}
+
+/// A slot of a service, while a call is there.
+struct Slot<'a> {
+    permit: Option<OwnedSemaphorePermit>,
+    freed: &'a Notify,
+}
+
+impl Drop for Slot<'_> {
+    fn drop(&mut self) {
+        drop(self.permit.take());
+        self.freed.notify_one();
+    }
+}
+
+/// Why a call has no answer.
+#[derive(Debug)]
+pub(super) enum CallError {
+    /// The service's status.
+    Status(Status),
+    /// Its answer is not what it should be.
+    Message(MessageError),
+    /// It has other models than before.
+    Changed,
+}
+
+impl From<Status> for CallError {
+    fn from(status: Status) -> CallError {
+        CallError::Status(status)
+    }
+}
+
+impl From<MessageError> for CallError {
+    fn from(error: MessageError) -> CallError {
+        CallError::Message(error)
+    }
+}
+
+/// What a status means for the next attempt.
+enum Verdict {
+    /// Nobody is there: another service, or the same one later.
+    Gone,
+    /// It has too much to do.
+    Busy,
+    /// It failed at this call: another attempt may do.
+    Failed,
+    /// It refuses this call, and would again.
+    Refused,
+    /// It lets nobody in with this token.
+    Unknown,
+}
+
+fn verdict(status: &Status) -> Verdict {
+    match status.code() {
+        Code::Unauthenticated | Code::PermissionDenied => Verdict::Unknown,
+        Code::Unavailable => Verdict::Gone,
+        // The transport failed, not the service.
+        _ if status.source().is_some() => Verdict::Gone,
+        Code::Cancelled => Verdict::Gone,
+        Code::ResourceExhausted => Verdict::Busy,
+        Code::InvalidArgument | Code::OutOfRange | Code::Unimplemented | Code::FailedPrecondition => {
+            Verdict::Refused
+        }
+        _ => Verdict::Failed,
+    }
+}
+
+fn words(status: &Status) -> String {
+    let source = status.source().map_or(String::new(), |source| format!(" ({source})"));
+    plain(&format!("{}{source}", status.message()))
+}
+
+impl ServicePool {
+    /// Asks all services what they are. Those that do not answer yet rest.
+    ///
+    /// # Errors
+    /// When none answers in time, one refuses the token, or two have different models.
+    pub async fn connect(members: Vec<Member>, terms: ServiceTerms) -> Result<ServicePool, ServiceError> {
+        let began = Instant::now();
+        loop {
+            let answers = futures_util::future::join_all(members.iter().map(Member::describe)).await;
+            let mut first: Option<(&Member, Described)> = None;
+            for (member, answer) in members.iter().zip(answers) {
+                match answer {
+                    Err(status) if matches!(verdict(&status), Verdict::Unknown | Verdict::Refused) => {
+                        return Err(refusal(member, &status));
+                    }
+                    Err(status) => _ = member.fails(&words(&status)),
+                    Ok(described) => {
+                        member.answers();
+                        match &first {
+                            Some((other, known)) if *known != described => {
+                                return Err(ServiceError::Differ {
+                                    one: other.address.clone(),
+                                    other: member.address.clone(),
+                                });
+                            }
+                            Some(_) => {}
+                            None => first = Some((member, described)),
+                        }
+                    }
+                }
+            }
+            if let Some((_, described)) = first {
+                return Ok(ServicePool { described, terms, freed: Notify::new(), members });
+            }
+            if began.elapsed() > terms.first_patience {
+                return Err(gone(&members, terms.first_patience));
+            }
+            tokio::time::sleep(POLL_INTERVAL).await;
+        }
+    }
+
+    /// Calls that all services together are sent at a time.
+    pub fn calls(&self) -> usize {
+        self.members.iter().map(Member::calls).sum()
+    }
+
+    /// A service with room, the one with most of it first; waits for it.
+    async fn slot(&self) -> Option<(&Member, Slot<'_>)> {
+        loop {
+            let freed = self.freed.notified();
+            let now = Instant::now();
+            let mut with_slots: Vec<_> =
+                self.members.iter().filter_map(|member| Some((member, member.slots(now)?))).collect();
+            if with_slots.is_empty() {
+                return None;
+            }
+            with_slots.sort_by_key(|(_, slots)| std::cmp::Reverse(slots.available_permits()));
+            for (member, slots) in with_slots {
+                if let Ok(permit) = slots.try_acquire_owned() {
+                    return Some((member, Slot { permit: Some(permit), freed: &self.freed }));
+                }
+            }
+            let _ = tokio::time::timeout(POLL_INTERVAL, freed).await;
+        }
+    }
+
+    /// Calls a service; another one, or the same one later, where it fails. An answer depends on the call alone, so that a call
+    /// may be repeated.
+    pub async fn call<T, F>(
+        self: Arc<ServicePool>,
+        operation: impl Fn(Client) -> F,
+    ) -> Result<T, ServiceError>
+    where
+        F: Future<Output = Result<T, CallError>>,
+    {
+        let (mut attempts, mut since) = (0, None::<Instant>);
+        loop {
+            let Some((member, _slot)) = self.slot().await else {
+                let since = *since.get_or_insert_with(Instant::now);
+                if since.elapsed() > self.terms.patience || self.members.iter().all(Member::is_left_out) {
+                    return Err(gone(&self.members, self.terms.patience));
+                }
+                tokio::time::sleep(POLL_INTERVAL).await;
+                continue;
+            };
+            if member.is_unknown() && !self.is_as_before(member).await {
+                since.get_or_insert_with(Instant::now);
+                continue;
+            }
+            let answer = tokio::time::timeout(self.terms.deadline, operation(member.client())).await;
+            let seconds = self.terms.deadline.as_secs();
+            let answer = answer.unwrap_or_else(|_| {
+                Err(Status::deadline_exceeded(format!("no answer within {seconds} seconds")).into())
+            });
+            let status = match answer {
+                Ok(answer) => {
+                    member.answers();
+                    return Ok(answer);
+                }
+                Err(CallError::Message(error)) => {
+                    return Err(ServiceError::Answer {
+                        address: member.address.clone(),
+                        reason: error.to_string(),
+                    });
+                }
+                Err(CallError::Changed) => {
+                    leave_out(member);
+                    continue;
+                }
+                Err(CallError::Status(status)) => status,
+            };
+            match verdict(&status) {
+                Verdict::Gone => {
+                    since.get_or_insert_with(Instant::now);
+                    if member.fails(&words(&status)) {
+                        tracing::warn!("{} is left out until it answers: {}", member.address, words(&status));
+                    }
+                }
+                Verdict::Busy => {
+                    since.get_or_insert_with(Instant::now);
+                    member.is_busy();
+                }
+                Verdict::Unknown => member.leave_out(words(&status)),
+                Verdict::Refused => return Err(refusal(member, &status)),
+                Verdict::Failed => {
+                    attempts += 1;
+                    if attempts >= ATTEMPTS {
+                        return Err(refusal(member, &status));
+                    }
+                    if status.code() == Code::DeadlineExceeded {
+                        member.fails(&words(&status));
+                    }
+                }
+            }
+        }
+    }
+
+    /// Whether a service answers again, with the models of before.
+    async fn is_as_before(&self, member: &Member) -> bool {
+        match member.describe().await {
+            Ok(described) if described == self.described => {
+                if member.answers() {
+                    tracing::warn!("{} answers again", member.address);
+                }
+                true
+            }
+            Ok(_) => {
+                leave_out(member);
+                false
+            }
+            Err(status) => {
+                member.fails(&words(&status));
+                false
+            }
+        }
+    }
+}
+
+/// Leaves out a service that has become another one.
+fn leave_out(member: &Member) {
+    let reason = "it has other models than before";
+    tracing::warn!("{} is not used any more: {reason}", member.address);
+    member.leave_out(reason.into());
+}
+
+fn refusal(member: &Member, status: &Status) -> ServiceError {
+    ServiceError::Refused { address: member.address.clone(), reason: words(status) }
+}
+
+fn gone(members: &[Member], waited: Duration) -> ServiceError {
+    let reasons: Vec<String> = members.iter().map(Member::reason).collect();
+    ServiceError::Gone {
+        seconds: waited.as_secs(),
+        reasons: reasons.join("; "),
+        kind: std::io::ErrorKind::NotConnected.into(),
+    }
+}
