@@ -6,6 +6,7 @@ mod kills;
 mod memory;
 mod overlap;
 mod page;
+mod remote;
 mod row;
 mod scene;
 mod waiting;
@@ -40,6 +41,9 @@ pub fn flow(options: &FlowOptions, mut report: impl FnMut(&Row)) -> Result<Vec<R
     }
     if wanted("accelerator") {
         tell(overlap::accelerator(options)?)?;
+    }
+    if wanted("remote") {
+        tell(remote::remote(options)?)?;
     }
     if wanted("cost") {
         tell(overlap::cost(options)?)?;

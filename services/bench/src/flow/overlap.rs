@@ -13,11 +13,11 @@ use std::time::{Duration, Instant};
 
 /// Pairs that are timed. Each gives one ratio of two runs back to back, which whatever else the machine does slows
 /// alike; the median of the ratios counts. Every other pair is in the other order.
-const PAIRS: usize = 5;
+pub(super) const PAIRS: usize = 5;
 
 /// One run, timed.
-struct TimedRun {
-    wall: f64,
+pub(super) struct TimedRun {
+    pub(super) wall: f64,
     /// Processor seconds of all threads.
     cpu: f64,
     /// Wall seconds per stage.
@@ -35,7 +35,7 @@ impl TimedRun {
 /// The stages that follow one another after the training.
 const LAST_STAGES: [&str; 4] = ["features", "evaluate", "objects", "report"];
 
-fn timed(
+pub(super) fn timed(
     scene: &Path,
     dir: &Path,
     settings: &Settings,
@@ -89,8 +89,8 @@ fn one_after_another(
 }
 
 /// The two ways of running, back to back: the dataflow, and its stages one after another.
-struct RunPair {
-    whole: TimedRun,
+pub(super) struct RunPair {
+    pub(super) whole: TimedRun,
     legs: Vec<TimedRun>,
 }
 
@@ -116,7 +116,7 @@ impl RunPair {
         }
     }
 
-    fn measure_all(
+    pub(super) fn measure_all(
         scene: &Path,
         dir: &Path,
         settings: &Settings,
@@ -131,7 +131,7 @@ impl RunPair {
     }
 
     /// Seconds of the longest chain of work that cannot overlap, and in words what it is made of.
-    fn chain(&self) -> (f64, String) {
+    pub(super) fn chain(&self) -> (f64, String) {
         let [sky, embed, early, rest] = &self.legs[..] else { unreachable!("there are four legs") };
         // Training needs every sky before its first step (transients are searched in all photos, which then are compared
         // with each other), masks need the snapshot, the field needs all.
@@ -148,7 +148,7 @@ impl RunPair {
 }
 
 /// The pair with the median ratio, that ratio, and the spread of all in words.
-fn median(pairs: &[RunPair], ratio: impl Fn(&RunPair) -> f64) -> (&RunPair, f64, String) {
+pub(super) fn median(pairs: &[RunPair], ratio: impl Fn(&RunPair) -> f64) -> (&RunPair, f64, String) {
     let mut sorted: Vec<(f64, &RunPair)> = pairs.iter().map(|p| (ratio(p), p)).collect();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (value, pair) = sorted[sorted.len() / 2];

@@ -19,7 +19,8 @@ pub fn over(rows: &[Row]) -> Option<String> {
 pub fn page(rows: &[Row], made: &Provenance) -> String {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let first = over(rows).map_or("All rows keep to their bars.".into(), |over| format!("**{over}.**"));
-    let stamp = stamp::stamp(made, &["built-in, and one that waits in `overlap` and `accelerator`"]);
+    let stamp =
+        stamp::stamp(made, &["built-in, and one that waits in `overlap`, `accelerator` and `remote`"]);
     let mut text = format!(
         "# The dataflow, measured\n\n{first} This page is generated. {stamp}\n\nEvery number is a ratio \
          or a count. A ratio of times is the median over pairs of runs, each pair back to back; all of them are listed. \

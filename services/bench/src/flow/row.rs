@@ -7,7 +7,7 @@ use std::borrow::Cow;
 use std::path::PathBuf;
 
 /// The rows, in order.
-pub const ROWS: [&str; 6] = ["overlap", "accelerator", "cost", "cache", "kills", "memory"];
+pub const ROWS: [&str; 7] = ["overlap", "accelerator", "remote", "cost", "cache", "kills", "memory"];
 
 /// How to measure.
 #[derive(Clone, Debug)]
@@ -72,7 +72,7 @@ pub enum FlowError {
     #[error("{0}")]
     Child(String),
     /// There is no row of this name.
-    #[error("there is no row `{0}`; the rows are overlap, accelerator, cost, cache, kills, memory")]
+    #[error("there is no row `{0}`; the rows are overlap, accelerator, remote, cost, cache, kills, memory")]
     Unknown(String),
 }
 

@@ -19,7 +19,7 @@ pub struct Waits {
 }
 
 /// Does nothing for a while.
-fn wait(time: Duration) {
+pub(super) fn wait(time: Duration) {
     let end = Instant::now() + time;
     while let Some(left) = end.checked_duration_since(Instant::now()).filter(|left| !left.is_zero()) {
         std::thread::park_timeout(left);

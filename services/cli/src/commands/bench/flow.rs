@@ -12,7 +12,7 @@ use std::path::PathBuf;
 /// The benchmark's arguments.
 pub fn command() -> Command {
     Command::new("flow")
-        .about("Measure what the dataflow promises: overlap, accelerator, cost, cache, kills, memory")
+        .about("Measure what the dataflow promises: overlap, accelerator, remote, cost, cache, kills, memory")
         .after_help(examples("segwild bench flow", "segwild bench flow --page flow.md"))
         .arg(
             Arg::new("only")
