@@ -7,6 +7,7 @@ mod records;
 mod run_files;
 mod scenes;
 mod server;
+mod vision;
 
 use crate::FuzzTarget;
 
@@ -46,4 +47,5 @@ pub const TARGETS: &[FuzzTarget] = &[
     many::BATCH,
     networks::ONNX,
     server::REQUEST,
+    vision::CALL,
 ];
