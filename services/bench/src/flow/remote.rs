@@ -40,7 +40,8 @@ pub fn remote(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
         settings(&[("size", "96"), ("steps", "1000"), ("refine_steps", "40"), ("prompt_budget", "24")])?;
     let vision = |settings: &_| Providers::from_settings(settings).map_err(RunError::from);
     let ms = Duration::from_millis;
-    let waits = Waits { sky: ms(40), embed: ms(120), masks: ms(120), accelerator: false };
+    // Twice the waits of `overlap`: both services together are as fast as the provider there.
+    let waits = Waits { sky: ms(80), embed: ms(240), masks: ms(240), accelerator: false };
     let waiting = waiting(&vision(&settings.vision)?, waits);
     let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
     let started = |address| io("start a vision service", start(&waiting, address));
