@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::str::FromStr;
+use tonic::transport::Endpoint;
 
 /// The scheme of a service's address.
 const SCHEME: &str = "grpc://";
@@ -48,7 +49,10 @@ impl FromStr for ServiceAddress {
         if host.is_empty() || !host.bytes().all(plain) || !port.parse::<u16>().is_ok_and(|port| port > 0) {
             return Err(wrong());
         }
-        Ok(ServiceAddress { host_and_port: rest.to_owned() })
+        let address = ServiceAddress { host_and_port: rest.to_owned() };
+        // What the transport would refuse is refused here, in words.
+        Endpoint::from_shared(address.http()).map_err(|_| wrong())?;
+        Ok(address)
     }
 }
 
@@ -78,6 +82,8 @@ mod tests {
             "grpc://a/b:1",
             "http://a:1",
             "grpc://a@b:1",
+            "grpc://[[:1",
+            "grpc://a:b:1",
         ] {
             let refused = ServiceAddress::list(wrong).unwrap_err().to_string();
             assert!(refused.contains(wrong) && refused.contains("grpc://HOST:PORT"), "{refused}");
