@@ -143,22 +143,32 @@ fn on_loopback(folder: &Path, options: ServeOptions) -> Result<StudioServer, Ser
 fn page(folder: &Path, listen: Option<SocketAddr>, matches: &ArgMatches) -> Result<StudioServer, Failure> {
     let usual = SocketAddr::from((Ipv4Addr::LOCALHOST, PORT));
     let address = listen.unwrap_or(usual);
-    let token_file = path_of(matches, "token-file");
-    if !address.ip().is_loopback() && token_file.is_none() && !matches.get_flag("insecure") {
-        return Err(Failure::usage(format!(
-            "--listen {address} lets other machines in: give --token-file FILE, or --insecure for a token that only this terminal \
-             shows; HTTP is not encrypted"
-        )));
-    }
-    let token = token_file.map(|file| token_of(&file)).transpose()?;
+    let token =
+        token_for(address, matches, "for a token that only this terminal shows; HTTP is not encrypted")?;
     let code = Code::given(&args::given(matches));
     let mib = *matches.get_one::<u32>("memory-budget").expect("it has a default") as usize;
     let options = ServeOptions { address, token, memory_budget: mib << 20, program: own_program(), code };
     Ok(if listen.is_some() { serve_page(folder, options)? } else { on_loopback(folder, options)? })
 }
 
+/// The token of `--token-file`, if it is given. An address that other machines reach wants it, or `--insecure`; `insecure` says
+/// what that does.
+pub fn token_for(
+    address: SocketAddr,
+    matches: &ArgMatches,
+    insecure: &str,
+) -> Result<Option<Token>, Failure> {
+    let token_file = path_of(matches, "token-file");
+    if !address.ip().is_loopback() && token_file.is_none() && !matches.get_flag("insecure") {
+        return Err(Failure::usage(format!(
+            "--listen {address} lets other machines in: give --token-file FILE, or --insecure {insecure}"
+        )));
+    }
+    token_file.map(|file| token_of(&file)).transpose()
+}
+
 /// The token of a file; a new one is written where the file is missing.
-pub fn token_of(file: &Path) -> Result<Token, Failure> {
+fn token_of(file: &Path) -> Result<Token, Failure> {
     let failed = |message: String| Failure { message, code: exit::FOLDER };
     match segwild_flow::files::read_within(file, 1024) {
         Ok(bytes) => String::from_utf8(bytes).ok().and_then(|text| Token::of(&text)).ok_or_else(|| {

@@ -1,7 +1,7 @@
 //! `segwild vision`
 
-use super::serve::token_of;
-use crate::args::{self, examples, flag, number, path_of, with_fields};
+use super::serve::token_for;
+use crate::args::{self, examples, flag, number, with_fields};
 use crate::exit;
 use crate::failure::Failure;
 use crate::output::print_line;
@@ -73,14 +73,7 @@ fn serve(matches: &ArgMatches) -> Result<(), Failure> {
     settings.vision.vision_service.clear();
     let usual = SocketAddr::from((Ipv4Addr::LOCALHOST, PORT));
     let address = matches.get_one("listen").copied().unwrap_or(usual);
-    let token_file = path_of(matches, "token-file");
-    if !address.ip().is_loopback() && token_file.is_none() && !matches.get_flag("insecure") {
-        return Err(Failure::usage(format!(
-            "--listen {address} lets other machines in: give --token-file FILE, or --insecure to let in everybody; what is sent is \
-             not encrypted"
-        )));
-    }
-    let token = token_file.map(|file| token_of(&file)).transpose()?;
+    let token = token_for(address, matches, "to let in everybody; what is sent is not encrypted")?;
     let parallel = usize::from(*matches.get_one::<u16>("parallel").expect("it has a default"));
     let memory = (*matches.get_one::<u32>("image-memory").expect("it has a default") as usize) << 20;
     let failed = |message: String| Failure { message, code: exit::INPUT };
