@@ -111,7 +111,7 @@ const LEASE_S: f64 = 2.0;
 const REST_S: f64 = 1.0;
 
 /// The suite.
-pub const CHECKS: [ConformanceCheck; 21] = [
+pub const CHECKS: [ConformanceCheck; 24] = [
     ("publishing twice is publishing once", publishing_twice),
     ("another payload starts again, but not under a worker's hands", another_payload),
     ("the most urgent job goes first, equals in order", urgency),
@@ -132,6 +132,9 @@ pub const CHECKS: [ConformanceCheck; 21] = [
     ("being stopped costs no attempt", stopping),
     ("a shortage of the machine rests, and costs no attempt", shortage),
     ("a dead letter can be revived, and nothing else can", reviving),
+    ("a worker that starts again hands back what it held before, and no more", releasing),
+    ("what is not wanted any more is forgotten, but not under a worker's hands", withdrawing),
+    ("who takes a job over finds its last checkpoint, and a zombie stores none", checkpoints),
     ("changes are reported in order to any handle, from any revision", watching),
 ];
 
@@ -500,6 +503,52 @@ fn reviving(site: &dyn Site) -> Result<(), ConformanceFailure> {
         JobFate::Retry { .. } => Ok(()),
         other => Err(outcome("its attempts are not counted from 0 again", &other)),
     }
+}
+
+fn releasing(site: &dyn Site) -> Result<(), ConformanceFailure> {
+    let engine = site.engine();
+    for id in ["a", "b"] {
+        engine.publish(&job(id))?;
+    }
+    let (mine, other) = (claim(&*engine, "w")?, claim(&*engine, "v")?);
+    engine.note_wait(&mine, Some("its folder is in use"))?;
+    expect("what waits", site.engine().waits()?.into_keys().collect::<Vec<_>>(), vec!["a".to_owned()])?;
+    expect("how many", engine.release(Some("w"), "started again")?, 1)?;
+    expect("what waits after that", engine.waits()?.len(), 0)?;
+    lost("what was handed back", engine.complete(&mine, "stale"))?;
+    let again = claim(&*engine, "w")?;
+    expect("no attempt is counted", (again.job.id.as_str(), again.failures), ("a", 0))?;
+    expect("the other one's", engine.complete(&other, "done")?, Completed::Now)
+}
+
+fn withdrawing(site: &dyn Site) -> Result<(), ConformanceFailure> {
+    let engine = site.engine();
+    for id in ["a", "b"] {
+        engine.publish(&job(id))?;
+    }
+    let lease = claim(&*engine, "w")?;
+    let all = ["a", "b", "unknown"].map(str::to_owned);
+    expect("how many", engine.withdraw(&all)?, 1)?;
+    expect("completing the other", engine.complete(&lease, "done")?, Completed::Now)?;
+    nothing(&*engine, "withdrawn")?;
+    expect("later", site.engine().withdraw(&all)?, 1)?;
+    expect("jobs", engine.jobs()?.len(), 0)?;
+    expect("published again", engine.publish(&job("a"))?, Published::New)
+}
+
+fn checkpoints(site: &dyn Site) -> Result<(), ConformanceFailure> {
+    let engine = site.engine();
+    engine.publish(&job("a"))?;
+    let first = claim(&*engine, "w")?;
+    engine.checkpoint(&first, "half of it")?;
+    engine.fail(&first, ErrorClass::Stopped, "stopped")?;
+    lost("a zombie's checkpoint", engine.checkpoint(&first, "stale"))?;
+    let heir = claim(&*site.engine(), "heir")?;
+    let stored = || -> Result<Option<String>, ConformanceFailure> { Ok(engine.jobs()?.remove(0).checkpoint) };
+    expect("what the heir finds", stored()?.as_deref(), Some("half of it"))?;
+    engine.complete(&heir, "done")?;
+    engine.publish(&Job { payload: "do it differently".into(), ..job("a") })?;
+    expect("of another payload", stored()?, None)
 }
 
 fn watching(site: &dyn Site) -> Result<(), ConformanceFailure> {

@@ -1,20 +1,20 @@
 //! The engine for one machine: a SQLite file.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use rusqlite::types::Type;
-use rusqlite::{Connection, OpenFlags, OptionalExtension, Row, Transaction, TransactionBehavior, params};
+use rusqlite::{Connection, OpenFlags, Row, Transaction, TransactionBehavior, params};
 
 use crate::clock::{JobClock, SystemClock};
-use crate::engine::{
-    ChangeKind, Completed, EngineError, ErrorClass, JobChange, JobEngine, JobFate, JobLease, JobState,
-    JobStatus, Published, WorkerOffer,
-};
+use crate::engine::{ChangeKind, EngineError, ErrorClass, JobChange, JobState, JobStatus};
 use crate::job::{Job, Needs, Retry};
 use crate::jumps;
-use crate::turn::turns;
+use crate::log::TransitionLog;
+use crate::table::{Decision, Entry, JobTable};
+use crate::transition::Transition;
 
 /// Version of the tables.
 const VERSION: i64 = 1;
@@ -34,6 +34,11 @@ CREATE TABLE changes (
 );
 ";
 
+/// Additions that older versions of the program ignore.
+const CHECKPOINTS: &str = "
+CREATE TABLE IF NOT EXISTS checkpoints (job TEXT PRIMARY KEY, artefact TEXT NOT NULL);
+";
+
 const COLUMNS: &str = "id, payload, priority, cores, memory_bytes, accelerators, attempts, first_delay_s,
   longest_delay_s, state, attempt, failures, worker, lease_until, due, started, ended, outcome, error, error_class";
 
@@ -41,10 +46,16 @@ const COLUMNS: &str = "id, payload, priority, cores, memory_bytes, accelerators,
 /// makes a few a minute.
 pub struct EmbeddedEngine {
     path: PathBuf,
-    connection: Mutex<Connection>,
+    store: Mutex<Store>,
     clock: Arc<dyn JobClock>,
+}
+
+struct Store {
+    connection: Connection,
+    /// The table as this handle last saw it, and the file's version then.
+    seen: Option<(i64, JobTable)>,
     /// How far the wall clock has jumped, in seconds, as far as this handle saw it and nobody asked yet.
-    jumped: Mutex<Vec<f64>>,
+    jumped: Vec<f64>,
 }
 
 impl EmbeddedEngine {
@@ -74,8 +85,8 @@ impl EmbeddedEngine {
                 t.execute_batch(TABLES)?;
                 t.pragma_update(None, "user_version", VERSION)?;
             }
-            // An addition that older versions of the program ignore.
             t.execute_batch(jumps::TABLE)?;
+            t.execute_batch(CHECKPOINTS)?;
             t.commit()
         };
         make(&mut connection).map_err(error)?;
@@ -104,100 +115,213 @@ impl EmbeddedEngine {
         if found != VERSION {
             return Err(EngineError::Version { path, found, known: VERSION });
         }
-        Ok(Self { path, connection: Mutex::new(connection), clock, jumped: Mutex::default() })
+        Ok(Self { path, store: Mutex::new(Store { connection, seen: None, jumped: Vec::new() }), clock })
     }
 
-    /// Hands back every lease without counting an attempt. Only for who knows that none of the holders lives:
-    /// the batch, which holds a lock that a dead one has lost.
-    ///
-    /// # Errors
-    /// When the store fails.
-    pub fn release_all(&self, reason: &str) -> Result<usize, EngineError> {
-        self.write(|t, now| {
-            let held: Vec<(String, u32)> = t
-                .prepare("SELECT id, attempt FROM jobs WHERE state = 'leased' ORDER BY place")?
-                .query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?
-                .collect::<rusqlite::Result<_>>()?;
-            for (id, attempt) in &held {
-                end(t, id, JobState::Pending, now, now)?;
-                note(t, now, id, ChangeKind::Released, *attempt, reason)?;
-            }
-            Ok(Ok(held.len()))
+    fn read<T>(&self, query: impl FnOnce(&Connection) -> rusqlite::Result<T>) -> Result<T, EngineError> {
+        let held = self.store.lock().unwrap_or_else(PoisonError::into_inner);
+        query(&held.connection).map_err(|e| store(&self.path, &e))
+    }
+}
+
+impl TransitionLog for EmbeddedEngine {
+    fn transact<A, R>(
+        &self,
+        decide: impl Fn(&JobTable, f64) -> Decision<A>,
+        then: impl FnOnce(&JobTable, A) -> R,
+    ) -> Result<R, EngineError> {
+        let mut held = self.store.lock().unwrap_or_else(PoisonError::into_inner);
+        let held = &mut *held;
+        // Whatever fails on the way leaves no table that the file does not have.
+        let seen = held.seen.take();
+        let run = || {
+            let t = held.connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+            // Read inside: the clocks of whoever wrote last were read before.
+            let now = self.clock.now();
+            let (version, mut table) = current(&t, seen)?;
+            let jump = jumps::follow(&t, &table, now, &self.clock.steady())?;
+            write(&t, &mut table, &jump.transitions, now)?;
+            let decision = decide(&table, now);
+            // A refusal has changed nothing but expired leases and moved times, which are worth keeping.
+            write(&t, &mut table, &decision.transitions, now)?;
+            t.commit()?;
+            Ok((version, table, decision.answer, jump.seconds))
+        };
+        let (version, table, answer, jump) = run().map_err(|e| store(&self.path, &e))?;
+        held.jumped.extend(jump);
+        let result = answer.map(|answer| then(&table, answer));
+        held.seen = Some((version, table));
+        result
+    }
+
+    fn with_table<R>(&self, read: impl FnOnce(&JobTable) -> R) -> Result<R, EngineError> {
+        let mut held = self.store.lock().unwrap_or_else(PoisonError::into_inner);
+        let held = &mut *held;
+        let seen = held.seen.take();
+        // One view of the file for all queries.
+        let view = || current(&*held.connection.unchecked_transaction()?, seen);
+        let (version, table) = view().map_err(|e| store(&self.path, &e))?;
+        let result = read(&table);
+        held.seen = Some((version, table));
+        Ok(result)
+    }
+
+    fn changes(&self, after: u64, limit: usize) -> Result<Vec<JobChange>, EngineError> {
+        let after = i64::try_from(after).unwrap_or(i64::MAX);
+        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+        self.read(|c| {
+            c.prepare(
+                "SELECT revision, time, job, kind, attempt, detail FROM changes WHERE revision > ?1
+                 ORDER BY revision LIMIT ?2",
+            )?
+            .query_map([after, limit], |row| {
+                Ok(JobChange {
+                    revision: row.get::<_, i64>(0)?.max(0) as u64,
+                    time: row.get(1)?,
+                    job: row.get(2)?,
+                    kind: word(row, 3, &ChangeKind::ALL, ChangeKind::word)?,
+                    attempt: row.get(4)?,
+                    detail: row.get(5)?,
+                })
+            })?
+            .collect()
         })
     }
 
-    /// Looks at the clocks, and says which jumps of the wall clock this handle has met since it was last asked, in
-    /// seconds; back is negative. Rests and leases were moved along with the clock.
-    ///
-    /// # Errors
-    /// When the store fails.
-    pub fn jumps(&self) -> Result<Vec<f64>, EngineError> {
-        self.write(|_, _| Ok(Ok(())))?;
-        Ok(std::mem::take(&mut self.jumped.lock().unwrap_or_else(PoisonError::into_inner)))
-    }
-
-    /// How often something has happened, over all jobs and ever.
-    ///
-    /// # Errors
-    /// When the store fails.
-    pub fn count(&self, kind: ChangeKind) -> Result<u64, EngineError> {
+    fn count_of(&self, kind: ChangeKind) -> Result<u64, EngineError> {
         let count: i64 = self.read(|c| {
             c.query_row("SELECT count(*) FROM changes WHERE kind = ?1", [kind.word()], |row| row.get(0))
         })?;
         Ok(count.max(0) as u64)
     }
 
-    /// Forgets jobs that are not wanted any more, but for those that somebody works on; what happened to them stays
-    /// recorded.
-    ///
-    /// # Errors
-    /// When the store fails.
-    pub fn withdraw_others(&self, wanted: &[&str]) -> Result<usize, EngineError> {
-        self.write(|t, _| {
-            let known: Vec<String> = t
-                .prepare("SELECT id FROM jobs WHERE state <> 'leased'")?
-                .query_map([], |row| row.get(0))?
-                .collect::<rusqlite::Result<_>>()?;
-            let others = known.iter().filter(|id| !wanted.contains(&id.as_str()));
-            let mut count = 0;
-            for id in others {
-                count += t.execute("DELETE FROM jobs WHERE id = ?1", [id])?;
-            }
-            Ok(Ok(count))
-        })
-    }
-
-    pub(crate) fn write<T>(
-        &self,
-        change: impl FnOnce(&Transaction<'_>, f64) -> rusqlite::Result<Result<T, EngineError>>,
-    ) -> Result<T, EngineError> {
-        let mut connection = self.connection.lock().unwrap_or_else(PoisonError::into_inner);
-        let run = || {
-            let t = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
-            // Read inside: the clocks of whoever wrote last were read before.
-            let now = self.clock.now();
-            let jumped = jumps::follow(&t, now, &self.clock.steady())?;
-            let value = change(&t, now)?;
-            // A refusal has changed nothing but expired leases and moved times, which are worth keeping.
-            t.commit()?;
-            Ok((value, jumped))
-        };
-        let (value, jumped) = run().map_err(|e| store(&self.path, &e))?;
-        self.jumped.lock().unwrap_or_else(PoisonError::into_inner).extend(jumped);
-        value
-    }
-
-    pub(crate) fn read<T>(
-        &self,
-        query: impl FnOnce(&Connection) -> rusqlite::Result<T>,
-    ) -> Result<T, EngineError> {
-        let connection = self.connection.lock().unwrap_or_else(PoisonError::into_inner);
-        query(&connection).map_err(|e| store(&self.path, &e))
+    fn met_jumps(&self) -> Result<Vec<f64>, EngineError> {
+        self.transact(|_, _| Decision { transitions: Vec::new(), answer: Ok(()) }, |_, ()| ())?;
+        Ok(std::mem::take(&mut self.store.lock().unwrap_or_else(PoisonError::into_inner).jumped))
     }
 }
 
 fn store(path: &Path, error: &rusqlite::Error) -> EngineError {
     EngineError::Store { path: path.to_path_buf(), reason: error.to_string() }
+}
+
+/// The table as the file has it, with the file's version: read anew where another handle has written since.
+fn current(c: &Connection, seen: Option<(i64, JobTable)>) -> rusqlite::Result<(i64, JobTable)> {
+    let version: i64 = c.pragma_query_value(None, "data_version", |row| row.get(0))?;
+    match seen {
+        Some((then, table)) if then == version => Ok((version, table)),
+        _ => Ok((version, load(c)?)),
+    }
+}
+
+fn load(c: &Connection) -> rusqlite::Result<JobTable> {
+    let has_checkpoints: bool =
+        c.query_row("SELECT count(*) > 0 FROM sqlite_schema WHERE name = 'checkpoints'", [], |row| {
+            row.get(0)
+        })?;
+    let pairs = |query: &str| -> rusqlite::Result<BTreeMap<String, String>> {
+        c.prepare(query)?.query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?.collect()
+    };
+    let mut waits = pairs(
+        "SELECT job, detail FROM changes WHERE kind = 'waits' AND revision IN
+           (SELECT max(revision) FROM changes JOIN jobs ON jobs.id = changes.job
+            WHERE jobs.state = 'leased' GROUP BY job)",
+    )?;
+    let mut checkpoints = match has_checkpoints {
+        true => pairs("SELECT job, artefact FROM checkpoints")?,
+        // Opened to read a file of before.
+        false => BTreeMap::new(),
+    };
+    let entries = c
+        .prepare(&format!("SELECT {COLUMNS}, place FROM jobs ORDER BY place"))?
+        .query_map([], |row| {
+            let mut status = status(row)?;
+            status.checkpoint = checkpoints.remove(&status.job.id);
+            let waits = waits.remove(&status.job.id);
+            Ok((row.get::<_, i64>(20)?.max(0) as u64, Entry { status, waits, timed_by: 0 }))
+        })?
+        .collect::<rusqlite::Result<_>>()?;
+    let revision: i64 =
+        c.query_row("SELECT coalesce(max(revision), 0) FROM changes", [], |row| row.get(0))?;
+    Ok(JobTable::of(entries, revision.max(0) as u64))
+}
+
+/// Applies transitions to the table and the file.
+fn write(
+    t: &Transaction<'_>,
+    table: &mut JobTable,
+    transitions: &[Transition],
+    now: f64,
+) -> rusqlite::Result<()> {
+    let mut touched = BTreeSet::new();
+    for transition in transitions {
+        for change in table.apply(transition, now, 0) {
+            t.execute(
+                "INSERT INTO changes (revision, time, job, kind, attempt, detail) VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+                params![
+                    i64::try_from(change.revision).unwrap_or(i64::MAX),
+                    change.time,
+                    change.job,
+                    change.kind.word(),
+                    change.attempt,
+                    change.detail
+                ],
+            )?;
+        }
+        match transition.job() {
+            Some(job) => drop(touched.insert(job.to_owned())),
+            None => touched.extend(table.jobs().map(|status| status.job.id.clone())),
+        }
+    }
+    for id in touched {
+        match table.job(&id) {
+            Some(status) => put(t, table.ranks[&id], status)?,
+            None => {
+                t.execute("DELETE FROM jobs WHERE id = ?1", [&id])?;
+                t.execute("DELETE FROM checkpoints WHERE job = ?1", [&id])?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn put(t: &Transaction<'_>, rank: u64, status: &JobStatus) -> rusqlite::Result<()> {
+    let (job, needs, retry) = (&status.job, &status.job.needs, &status.job.retry);
+    let mut insert = t.prepare(&format!(
+        "INSERT OR REPLACE INTO jobs ({COLUMNS}, place) VALUES
+           (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, ?20, ?21)"
+    ))?;
+    insert.execute(params![
+        job.id,
+        job.payload,
+        job.priority,
+        needs.cores,
+        i64::try_from(needs.memory_bytes).unwrap_or(i64::MAX),
+        needs.accelerators,
+        retry.attempts,
+        retry.first_delay_s,
+        retry.longest_delay_s,
+        status.state.word(),
+        status.attempt,
+        status.failures,
+        status.worker,
+        status.lease_until,
+        status.due,
+        status.started,
+        status.ended,
+        status.outcome,
+        status.error,
+        status.error_class.map(ErrorClass::word),
+        i64::try_from(rank).unwrap_or(i64::MAX)
+    ])?;
+    match &status.checkpoint {
+        Some(artefact) => t.execute(
+            "INSERT OR REPLACE INTO checkpoints (job, artefact) VALUES (?1, ?2)",
+            params![job.id, artefact],
+        )?,
+        None => t.execute("DELETE FROM checkpoints WHERE job = ?1", [&job.id])?,
+    };
+    Ok(())
 }
 
 fn word<T: Copy>(
@@ -237,252 +361,6 @@ fn status(row: &Row<'_>) -> rusqlite::Result<JobStatus> {
         outcome: row.get(17)?,
         error: row.get(18)?,
         error_class: class.and_then(|c| ErrorClass::ALL.into_iter().find(|k| k.word() == c)),
+        checkpoint: None,
     })
-}
-
-fn find(t: &Connection, id: &str) -> rusqlite::Result<Option<JobStatus>> {
-    t.query_row(&format!("SELECT {COLUMNS} FROM jobs WHERE id = ?1"), [id], status).optional()
-}
-
-pub(crate) fn note(
-    t: &Transaction<'_>,
-    now: f64,
-    job: &str,
-    kind: ChangeKind,
-    attempt: u32,
-    detail: &str,
-) -> rusqlite::Result<()> {
-    t.execute(
-        "INSERT INTO changes (time, job, kind, attempt, detail) VALUES (?1, ?2, ?3, ?4, ?5)",
-        params![now, job, kind.word(), attempt, detail],
-    )?;
-    Ok(())
-}
-
-/// Ends an attempt.
-fn end(t: &Transaction<'_>, id: &str, state: JobState, now: f64, due: f64) -> rusqlite::Result<()> {
-    t.execute(
-        "UPDATE jobs SET state = ?2, worker = NULL, lease_until = NULL, ended = ?3, due = ?4 WHERE id = ?1",
-        params![id, state.word(), now, due],
-    )?;
-    Ok(())
-}
-
-/// Ends a failed attempt, counts it unless the machine is at fault, and says what becomes of the job.
-fn count_failure(
-    t: &Transaction<'_>,
-    now: f64,
-    job: &JobStatus,
-    class: ErrorClass,
-    error: &str,
-) -> rusqlite::Result<JobFate> {
-    let (id, retry) = (&job.job.id, &job.job.retry);
-    let failures = job.failures + u32::from(class != ErrorClass::Shortage);
-    t.execute(
-        "UPDATE jobs SET failures = ?2, error = ?3, error_class = ?4 WHERE id = ?1",
-        params![id, failures, error, class.word()],
-    )?;
-    let over = class == ErrorClass::Retryable && failures >= retry.attempts;
-    if class == ErrorClass::Fatal || over {
-        end(t, id, JobState::Dead, now, now)?;
-        note(t, now, id, ChangeKind::Died, job.attempt, error)?;
-        return Ok(JobFate::Dead);
-    }
-    let due = now + retry.delay_s(failures);
-    end(t, id, JobState::Pending, now, due)?;
-    note(t, now, id, ChangeKind::Retried, job.attempt, error)?;
-    Ok(JobFate::Retry { due })
-}
-
-/// Takes back the leases that have run out.
-fn expire(t: &Transaction<'_>, now: f64) -> rusqlite::Result<()> {
-    let silent: Vec<JobStatus> = t
-        .prepare(&format!(
-            "SELECT {COLUMNS} FROM jobs WHERE state = 'leased' AND lease_until < ?1 ORDER BY place"
-        ))?
-        .query_map([now], status)?
-        .collect::<rusqlite::Result<_>>()?;
-    for job in silent {
-        let who = job.worker.as_deref().unwrap_or("its worker");
-        let error = format!("{who} fell silent");
-        note(t, now, &job.job.id, ChangeKind::Expired, job.attempt, &error)?;
-        count_failure(t, now, &job, ErrorClass::Retryable, &error)?;
-    }
-    Ok(())
-}
-
-/// The job as this lease holds it, or why the lease is lost.
-pub(crate) fn held(
-    t: &Transaction<'_>,
-    lease: &JobLease,
-) -> rusqlite::Result<Result<JobStatus, EngineError>> {
-    let lost = EngineError::Lost { job: lease.job.id.clone(), attempt: lease.attempt };
-    Ok(find(t, &lease.job.id)?
-        .filter(|job| job.state == JobState::Leased && job.attempt == lease.attempt)
-        .ok_or(lost))
-}
-
-impl JobEngine for EmbeddedEngine {
-    fn publish(&self, job: &Job) -> Result<Published, EngineError> {
-        self.write(|t, now| {
-            let known = find(t, &job.id)?;
-            let same = known.as_ref().is_some_and(|k| k.job.payload == job.payload);
-            if !same && known.as_ref().is_some_and(|k| k.state == JobState::Leased) {
-                return Ok(Err(EngineError::InProgress(job.id.clone())));
-            }
-            let (n, r) = (&job.needs, &job.retry);
-            let memory = i64::try_from(n.memory_bytes).unwrap_or(i64::MAX);
-            t.execute(
-                "INSERT INTO jobs (id, payload, priority, cores, memory_bytes, accelerators, attempts,
-                   first_delay_s, longest_delay_s, state, attempt, failures, due)
-                 VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, 'pending', 0, 0, ?10)
-                 ON CONFLICT (id) DO UPDATE SET payload = excluded.payload, priority = excluded.priority,
-                   cores = excluded.cores, memory_bytes = excluded.memory_bytes,
-                   accelerators = excluded.accelerators, attempts = excluded.attempts,
-                   first_delay_s = excluded.first_delay_s, longest_delay_s = excluded.longest_delay_s",
-                params![
-                    job.id,
-                    job.payload,
-                    job.priority,
-                    n.cores,
-                    memory,
-                    n.accelerators,
-                    r.attempts.max(1),
-                    r.first_delay_s,
-                    r.longest_delay_s,
-                    now
-                ],
-            )?;
-            if same {
-                return Ok(Ok(Published::Known));
-            }
-            let attempt = known.as_ref().map_or(0, |k| k.attempt);
-            note(t, now, &job.id, ChangeKind::Published, attempt, "")?;
-            if known.is_none() {
-                return Ok(Ok(Published::New));
-            }
-            t.execute(
-                "UPDATE jobs SET state = 'pending', failures = 0, due = ?2, outcome = NULL, error = NULL,
-                   error_class = NULL WHERE id = ?1",
-                params![job.id, now],
-            )?;
-            Ok(Ok(Published::Changed))
-        })
-    }
-
-    fn claim(&self, offer: &WorkerOffer) -> Result<Option<JobLease>, EngineError> {
-        self.write(|t, now| {
-            expire(t, now)?;
-            let waiting: Vec<JobStatus> = t
-                .prepare(&format!(
-                    "SELECT {COLUMNS} FROM jobs WHERE state = 'pending' AND due <= ?1 ORDER BY priority DESC, place"
-                ))?
-                .query_map([now], status)?
-                .collect::<rusqlite::Result<_>>()?;
-            let jobs: Vec<&Job> = waiting.iter().map(|status| &status.job).collect();
-            let first = turns(&jobs, &offer.free, &offer.whole).iter().position(|turn| turn.fits);
-            let Some(found) = first.and_then(|i| waiting.into_iter().nth(i)) else { return Ok(Ok(None)) };
-            let (attempt, until) = (found.attempt + 1, now + offer.lease_s);
-            t.execute(
-                "UPDATE jobs SET state = 'leased', attempt = ?2, worker = ?3, lease_until = ?4, started = ?5,
-                   ended = NULL WHERE id = ?1",
-                params![found.job.id, attempt, offer.worker, until, now],
-            )?;
-            note(t, now, &found.job.id, ChangeKind::Claimed, attempt, &offer.worker)?;
-            let (worker, lease_s, failures) = (offer.worker.clone(), offer.lease_s, found.failures);
-            Ok(Ok(Some(JobLease { job: found.job, attempt, worker, failures, until, lease_s })))
-        })
-    }
-
-    fn heartbeat(&self, lease: &JobLease) -> Result<f64, EngineError> {
-        self.write(|t, now| {
-            if let Err(lost) = held(t, lease)? {
-                return Ok(Err(lost));
-            }
-            let until = now + lease.lease_s;
-            t.execute("UPDATE jobs SET lease_until = ?2 WHERE id = ?1", params![lease.job.id, until])?;
-            Ok(Ok(until))
-        })
-    }
-
-    fn complete(&self, lease: &JobLease, outcome: &str) -> Result<Completed, EngineError> {
-        self.write(|t, now| {
-            let id = &lease.job.id;
-            let before = find(t, id)?.is_some_and(|job| {
-                job.state == JobState::Done
-                    && job.attempt == lease.attempt
-                    && job.outcome.as_deref() == Some(outcome)
-            });
-            if before {
-                return Ok(Ok(Completed::Before));
-            }
-            if let Err(lost) = held(t, lease)? {
-                return Ok(Err(lost));
-            }
-            end(t, id, JobState::Done, now, now)?;
-            t.execute(
-                "UPDATE jobs SET outcome = ?2, error = NULL, error_class = NULL WHERE id = ?1",
-                params![id, outcome],
-            )?;
-            note(t, now, id, ChangeKind::Completed, lease.attempt, outcome)?;
-            Ok(Ok(Completed::Now))
-        })
-    }
-
-    fn fail(&self, lease: &JobLease, class: ErrorClass, error: &str) -> Result<JobFate, EngineError> {
-        self.write(|t, now| {
-            let job = match held(t, lease)? {
-                Ok(job) => job,
-                Err(lost) => return Ok(Err(lost)),
-            };
-            if class == ErrorClass::Stopped {
-                end(t, &lease.job.id, JobState::Pending, now, now)?;
-                note(t, now, &lease.job.id, ChangeKind::Released, lease.attempt, error)?;
-                return Ok(Ok(JobFate::Released));
-            }
-            count_failure(t, now, &job, class, error).map(Ok)
-        })
-    }
-
-    fn revive(&self, id: &str) -> Result<(), EngineError> {
-        self.write(|t, now| {
-            let Some(job) = find(t, id)?.filter(|job| job.state == JobState::Dead) else {
-                return Ok(Err(EngineError::Unknown(id.into())));
-            };
-            t.execute(
-                "UPDATE jobs SET state = 'pending', failures = 0, due = ?2 WHERE id = ?1",
-                params![id, now],
-            )?;
-            note(t, now, id, ChangeKind::Revived, job.attempt, "")?;
-            Ok(Ok(()))
-        })
-    }
-
-    fn watch(&self, after: u64, limit: usize) -> Result<Vec<JobChange>, EngineError> {
-        let after = i64::try_from(after).unwrap_or(i64::MAX);
-        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-        self.read(|c| {
-            c.prepare(
-                "SELECT revision, time, job, kind, attempt, detail FROM changes WHERE revision > ?1
-                 ORDER BY revision LIMIT ?2",
-            )?
-            .query_map([after, limit], |row| {
-                Ok(JobChange {
-                    revision: row.get::<_, i64>(0)?.max(0) as u64,
-                    time: row.get(1)?,
-                    job: row.get(2)?,
-                    kind: word(row, 3, &ChangeKind::ALL, ChangeKind::word)?,
-                    attempt: row.get(4)?,
-                    detail: row.get(5)?,
-                })
-            })?
-            .collect()
-        })
-    }
-
-    fn jobs(&self) -> Result<Vec<JobStatus>, EngineError> {
-        self.read(|c| {
-            c.prepare(&format!("SELECT {COLUMNS} FROM jobs ORDER BY place"))?.query_map([], status)?.collect()
-        })
-    }
 }

@@ -1,5 +1,6 @@
 //! Where jobs wait, who works on which, and what becomes of them.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::PathBuf;
 
@@ -163,6 +164,14 @@ pub enum EngineError {
         /// The file that was searched.
         path: PathBuf,
     },
+    /// A server that keeps the jobs does not serve.
+    #[error("{server}: {reason}")]
+    Server {
+        /// Its address, and the farm there.
+        server: String,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// The store cannot be read or written.
     #[error("{}: {reason}", path.display())]
     Store {
@@ -174,7 +183,7 @@ pub enum EngineError {
 }
 
 /// What happened to a job.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ChangeKind {
     /// It was published, or published again with another payload.
@@ -280,6 +289,9 @@ pub struct JobStatus {
     pub error: Option<String>,
     /// What kind of failure that was.
     pub error_class: Option<ErrorClass>,
+    /// The artefact with the last stored state of the work: whoever takes the job continues from it.
+    #[serde(default)]
+    pub checkpoint: Option<String>,
 }
 
 /// Jobs with leases. Deliveries are at least once; the fence makes effects exactly once.
@@ -323,7 +335,34 @@ pub trait JobEngine: Send + Sync {
     /// [`EngineError::Unknown`] when there is no dead letter of that name; when the store fails.
     fn revive(&self, id: &str) -> Result<(), EngineError>;
 
-    /// What happened after a revision, in order; at most `limit` changes.
+    /// Hands back the leases of a worker, or of all, without counting an attempt; returns how many. Only for who knows
+    /// that the holders do not live: who holds a lock that they have lost.
+    ///
+    /// # Errors
+    /// When the store fails.
+    fn release(&self, worker: Option<&str>, reason: &str) -> Result<usize, EngineError>;
+
+    /// Forgets jobs that are not wanted any more, but for those that somebody works on, and returns how many; what
+    /// happened to them stays recorded.
+    ///
+    /// # Errors
+    /// When the store fails.
+    fn withdraw(&self, ids: &[String]) -> Result<usize, EngineError>;
+
+    /// Notes that who holds a lease cannot start yet, and why; or, with `None`, that it has started after all.
+    ///
+    /// # Errors
+    /// [`EngineError::Lost`] for a zombie; when the store fails.
+    fn note_wait(&self, lease: &JobLease, reason: Option<&str>) -> Result<(), EngineError>;
+
+    /// Notes that the state of the work is stored as this artefact: whoever takes the job next continues from it.
+    ///
+    /// # Errors
+    /// [`EngineError::Lost`] for a zombie; when the store fails.
+    fn checkpoint(&self, lease: &JobLease, artefact: &str) -> Result<(), EngineError>;
+
+    /// What happened after a revision, in order; at most `limit` changes. Of what happened long ago, an engine may have
+    /// forgotten the oldest.
     ///
     /// # Errors
     /// When the store fails.
@@ -334,4 +373,23 @@ pub trait JobEngine: Send + Sync {
     /// # Errors
     /// When the store fails.
     fn jobs(&self) -> Result<Vec<JobStatus>, EngineError>;
+
+    /// The jobs that somebody has taken and cannot start yet, and why.
+    ///
+    /// # Errors
+    /// When the store fails.
+    fn waits(&self) -> Result<BTreeMap<String, String>, EngineError>;
+
+    /// How often something has happened, over all jobs and ever.
+    ///
+    /// # Errors
+    /// When the store fails.
+    fn count(&self, kind: ChangeKind) -> Result<u64, EngineError>;
+
+    /// Which jumps of the wall clock this handle has met since it was last called, in seconds; back is negative. Rests
+    /// and leases moved along with the clock.
+    ///
+    /// # Errors
+    /// When the store fails.
+    fn jumps(&self) -> Result<Vec<f64>, EngineError>;
 }

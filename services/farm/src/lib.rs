@@ -42,10 +42,13 @@ mod embedded;
 mod engine;
 mod job;
 mod jumps;
+mod log;
 mod machine;
 mod manifest;
+mod nats;
+mod table;
+mod transition;
 mod turn;
-mod waits;
 
 pub use batch::{
     BatchError, BatchEvent, BatchFolder, BatchOptions, BatchRecord, BatchSummary, StopBatch, StopLevel,
@@ -57,7 +60,11 @@ pub use engine::{
     JobStatus, Published, WorkerOffer,
 };
 pub use job::{Job, Needs, Retry};
+pub use log::TransitionLog;
 pub use manifest::{
     BatchManifest, FolderTaken, ManifestError, ManifestFileError, MemorySizeError, SceneEntryError, SceneJob,
 };
+pub use nats::{FarmAccess, FarmAddress, FarmAddressError, FarmKey, NatsEngine, USUAL_PATIENCE};
+pub use table::{Decision, JobTable};
+pub use transition::Transition;
 pub use turn::{JobTurn, turns};

@@ -97,9 +97,10 @@ pub fn run(
     let _lock = folder.lock()?;
     let engine = EmbeddedEngine::open(folder.engine_file())?;
     // The lock says that whoever held these leases is gone.
-    engine.release_all("the batch that held it ended early")?;
+    engine.release(None, "the batch that held it ended early")?;
     let names: Vec<&str> = read.jobs.iter().map(|(scene, _)| scene.name.as_str()).collect();
-    engine.withdraw_others(&names)?;
+    let known = engine.jobs()?.into_iter().map(|status| status.job.id);
+    engine.withdraw(&known.filter(|id| !names.contains(&id.as_str())).collect::<Vec<_>>())?;
     for (scene, job) in &read.jobs {
         engine.publish(job)?;
         folder.write_settings(scene)?;

@@ -2,10 +2,11 @@
 
 use segwild_farm::conformance::{Site, broken};
 use segwild_farm::{
-    Completed, EmbeddedEngine, EngineError, ErrorClass, Job, JobChange, JobClock, JobEngine, JobFate,
-    JobLease, JobStatus, Needs, Published, Retry, SimulatedClock, WorkerOffer,
+    ChangeKind, Completed, EmbeddedEngine, EngineError, ErrorClass, Job, JobChange, JobClock, JobEngine,
+    JobFate, JobLease, JobStatus, Needs, Published, Retry, SimulatedClock, WorkerOffer,
 };
 use segwild_flow::clock::Steady;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// What is wrong with the engine of a site.
@@ -115,6 +116,27 @@ impl JobEngine for Faulty {
     fn jobs(&self) -> Result<Vec<JobStatus>, EngineError> {
         self.0.jobs()
     }
+    fn release(&self, worker: Option<&str>, reason: &str) -> Result<usize, EngineError> {
+        self.0.release(worker, reason)
+    }
+    fn withdraw(&self, ids: &[String]) -> Result<usize, EngineError> {
+        self.0.withdraw(ids)
+    }
+    fn note_wait(&self, lease: &JobLease, reason: Option<&str>) -> Result<(), EngineError> {
+        self.0.note_wait(lease, reason)
+    }
+    fn checkpoint(&self, lease: &JobLease, artefact: &str) -> Result<(), EngineError> {
+        self.0.checkpoint(lease, artefact)
+    }
+    fn waits(&self) -> Result<BTreeMap<String, String>, EngineError> {
+        self.0.waits()
+    }
+    fn count(&self, kind: ChangeKind) -> Result<u64, EngineError> {
+        self.0.count(kind)
+    }
+    fn jumps(&self) -> Result<Vec<f64>, EngineError> {
+        self.0.jumps()
+    }
 }
 
 #[test]
@@ -157,7 +179,7 @@ fn what_was_published_survives_its_process() {
     let lease = site.embedded().claim(&offer).unwrap().expect("a lease");
     // The worker's process is gone, and whoever holds the batch's lock knows it.
     let engine = site.embedded();
-    assert_eq!(engine.release_all("the batch was killed").unwrap(), 1);
+    assert_eq!(engine.release(None, "the batch was killed").unwrap(), 1);
     let again = engine.claim(&offer).unwrap().expect("it can be claimed at once");
     assert_eq!((again.attempt, engine.jobs().unwrap()[0].failures), (2, 0));
     assert!(matches!(engine.complete(&lease, "late"), Err(EngineError::Lost { .. })));

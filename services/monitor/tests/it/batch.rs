@@ -87,7 +87,7 @@ fn a_scene_that_was_taken_and_cannot_start_names_what_it_waits_for() {
     engine.note_wait(&lease, None).expect("it is noted");
     assert_eq!(seen().0, SceneState::Running);
     engine.note_wait(&lease, Some("again")).expect("it is noted");
-    engine.release_all("the batch that held it ended early").expect("it is released");
+    engine.release(None, "the batch that held it ended early").expect("it is released");
     assert_eq!(seen().1.as_deref(), Some("about to start"), "nobody has taken it");
 }
 
@@ -139,7 +139,7 @@ fn a_scene_that_does_not_run_has_no_rates_and_an_attempt_that_was_cut_short_is_n
     let dir = tempfile::tempdir().expect("a temporary folder");
     let (path, _ledger, _lock) = batch_in(dir.path());
     let engine = EmbeddedEngine::open(path.join("batch.sqlite")).expect("an engine");
-    engine.release_all("the batch that held it ended early").expect("it is released");
+    engine.release(None, "the batch that held it ended early").expect("it is released");
     let free = Needs { cores: 2, memory_bytes: 8 << 30, accelerators: 0 };
     let offer = WorkerOffer { worker: "batch".into(), free, whole: free, lease_s: 1e9 };
     assert_eq!(engine.claim(&offer).expect("it works").expect("a lease").attempt, 2);

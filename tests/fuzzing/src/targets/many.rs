@@ -83,7 +83,7 @@ pub(super) const BATCH: FuzzTarget = FuzzTarget {
         put(&file, bytes);
         super::run_files::open_all(&folder);
         if let Ok(engine) = EmbeddedEngine::open(&file) {
-            let _ = (engine.release_all("fuzzed"), engine.jobs(), engine.watch(0, 100), engine.jumps());
+            let _ = (engine.release(None, "fuzzed"), engine.jobs(), engine.watch(0, 100), engine.jumps());
         }
     },
 };
