@@ -111,11 +111,12 @@ const LEASE_S: f64 = 2.0;
 const REST_S: f64 = 1.0;
 
 /// The suite.
-pub const CHECKS: [ConformanceCheck; 24] = [
+pub const CHECKS: [ConformanceCheck; 25] = [
     ("publishing twice is publishing once", publishing_twice),
     ("another payload starts again, but not under a worker's hands", another_payload),
     ("the most urgent job goes first, equals in order", urgency),
     ("a job that does not fit is left for a worker that has the capacity", fitting),
+    ("a job that wants an accelerator by name is left for who has that one", named_accelerator),
     ("what a more urgent job waits for is not given to a less urgent one", reserving_capacity),
     ("no job is given to two workers", one_worker_per_job),
     ("a heartbeat holds a lease beyond its time", heartbeat_holds),
@@ -146,18 +147,13 @@ pub fn broken(site: &dyn Fn() -> Box<dyn Site>) -> Vec<(&'static str, String)> {
 }
 
 fn job(id: &str) -> Job {
-    Job {
-        id: id.into(),
-        payload: format!("do {id}"),
-        priority: 0,
-        needs: Needs { cores: 1, memory_bytes: 100, accelerators: 0 },
-        retry: Retry { attempts: 3, first_delay_s: REST_S, longest_delay_s: 60.0 },
-    }
+    let needs = Needs { cores: 1, memory_bytes: 100, accelerators: 0 };
+    let retry = Retry { attempts: 3, first_delay_s: REST_S, longest_delay_s: 60.0 };
+    Job { retry, ..Job::new(id, format!("do {id}"), needs) }
 }
 
 fn offer(worker: &str) -> WorkerOffer {
-    let free = Needs { cores: 4, memory_bytes: 1000, accelerators: 1 };
-    WorkerOffer { worker: worker.into(), free, whole: free, lease_s: LEASE_S }
+    WorkerOffer::all(worker, Needs { cores: 4, memory_bytes: 1000, accelerators: 1 }, LEASE_S)
 }
 
 fn expect<T: PartialEq + Debug>(what: &str, found: T, wanted: T) -> Result<(), ConformanceFailure> {
@@ -246,6 +242,19 @@ fn fitting(site: &dyn Site) -> Result<(), ConformanceFailure> {
     let given = engine.claim(&roomy)?;
     let lease = given.ok_or_else(|| ConformanceFailure::NothingGiven("a worker with the capacity".into()))?;
     expect("to the worker with the capacity", lease.job.id.as_str(), "large")
+}
+
+fn named_accelerator(site: &dyn Site) -> Result<(), ConformanceFailure> {
+    let engine = site.engine();
+    let wanted = |name: &str| Some(name.to_owned());
+    engine.publish(&Job { accelerator: wanted("h100"), priority: 9, ..job("picky") })?;
+    engine.publish(&job("any"))?;
+    expect("without a name", claim(&*engine, "w")?.job.id.as_str(), "any")?;
+    nothing(&*engine, "with only the picky one left")?;
+    let other = WorkerOffer { accelerator: wanted("l4"), ..offer("other") };
+    expect("with another one", engine.claim(&other)?, None)?;
+    let given = site.engine().claim(&WorkerOffer { accelerator: wanted("h100"), ..offer("right") })?;
+    expect("with the right one", given.map(|lease| lease.job.id).as_deref(), Some("picky"))
 }
 
 fn reserving_capacity(site: &dyn Site) -> Result<(), ConformanceFailure> {

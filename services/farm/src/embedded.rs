@@ -35,8 +35,8 @@ CREATE TABLE changes (
 ";
 
 /// Additions that older versions of the program ignore.
-const CHECKPOINTS: &str = "
-CREATE TABLE IF NOT EXISTS checkpoints (job TEXT PRIMARY KEY, artefact TEXT NOT NULL);
+const ADDITIONS: &str = "
+CREATE TABLE IF NOT EXISTS additions (job TEXT PRIMARY KEY, checkpoint TEXT, accelerator TEXT);
 ";
 
 const COLUMNS: &str = "id, payload, priority, cores, memory_bytes, accelerators, attempts, first_delay_s,
@@ -86,7 +86,7 @@ impl EmbeddedEngine {
                 t.pragma_update(None, "user_version", VERSION)?;
             }
             t.execute_batch(jumps::TABLE)?;
-            t.execute_batch(CHECKPOINTS)?;
+            t.execute_batch(ADDITIONS)?;
             t.commit()
         };
         make(&mut connection).map_err(error)?;
@@ -215,20 +215,21 @@ fn current(c: &Connection, seen: Option<(i64, JobTable)>) -> rusqlite::Result<(i
 }
 
 fn load(c: &Connection) -> rusqlite::Result<JobTable> {
-    let has_checkpoints: bool =
-        c.query_row("SELECT count(*) > 0 FROM sqlite_schema WHERE name = 'checkpoints'", [], |row| {
-            row.get(0)
-        })?;
-    let pairs = |query: &str| -> rusqlite::Result<BTreeMap<String, String>> {
-        c.prepare(query)?.query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?.collect()
-    };
-    let mut waits = pairs(
-        "SELECT job, detail FROM changes WHERE kind = 'waits' AND revision IN
-           (SELECT max(revision) FROM changes JOIN jobs ON jobs.id = changes.job
-            WHERE jobs.state = 'leased' GROUP BY job)",
-    )?;
-    let mut checkpoints = match has_checkpoints {
-        true => pairs("SELECT job, artefact FROM checkpoints")?,
+    let has_additions: bool =
+        c.query_row("SELECT count(*) > 0 FROM sqlite_schema WHERE name = 'additions'", [], |row| row.get(0))?;
+    let mut waits: BTreeMap<String, String> = c
+        .prepare(
+            "SELECT job, detail FROM changes WHERE kind = 'waits' AND revision IN
+               (SELECT max(revision) FROM changes JOIN jobs ON jobs.id = changes.job
+                WHERE jobs.state = 'leased' GROUP BY job)",
+        )?
+        .query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?
+        .collect::<rusqlite::Result<_>>()?;
+    let mut additions: BTreeMap<String, (Option<String>, Option<String>)> = match has_additions {
+        true => c
+            .prepare("SELECT job, checkpoint, accelerator FROM additions")?
+            .query_map([], |row| Ok((row.get(0)?, (row.get(1)?, row.get(2)?))))?
+            .collect::<rusqlite::Result<_>>()?,
         // Opened to read a file of before.
         false => BTreeMap::new(),
     };
@@ -236,7 +237,8 @@ fn load(c: &Connection) -> rusqlite::Result<JobTable> {
         .prepare(&format!("SELECT {COLUMNS}, place FROM jobs ORDER BY place"))?
         .query_map([], |row| {
             let mut status = status(row)?;
-            status.checkpoint = checkpoints.remove(&status.job.id);
+            (status.checkpoint, status.job.accelerator) =
+                additions.remove(&status.job.id).unwrap_or_default();
             let waits = waits.remove(&status.job.id);
             Ok((row.get::<_, i64>(20)?.max(0) as u64, Entry { status, waits, timed_by: 0 }))
         })?
@@ -278,7 +280,7 @@ fn write(
             Some(status) => put(t, table.ranks[&id], status)?,
             None => {
                 t.execute("DELETE FROM jobs WHERE id = ?1", [&id])?;
-                t.execute("DELETE FROM checkpoints WHERE job = ?1", [&id])?;
+                t.execute("DELETE FROM additions WHERE job = ?1", [&id])?;
             }
         }
     }
@@ -314,13 +316,10 @@ fn put(t: &Transaction<'_>, rank: u64, status: &JobStatus) -> rusqlite::Result<(
         status.error_class.map(ErrorClass::word),
         i64::try_from(rank).unwrap_or(i64::MAX)
     ])?;
-    match &status.checkpoint {
-        Some(artefact) => t.execute(
-            "INSERT OR REPLACE INTO checkpoints (job, artefact) VALUES (?1, ?2)",
-            params![job.id, artefact],
-        )?,
-        None => t.execute("DELETE FROM checkpoints WHERE job = ?1", [&job.id])?,
-    };
+    t.execute(
+        "INSERT OR REPLACE INTO additions (job, checkpoint, accelerator) VALUES (?1, ?2, ?3)",
+        params![job.id, status.checkpoint, job.accelerator],
+    )?;
     Ok(())
 }
 
@@ -349,6 +348,7 @@ fn status(row: &Row<'_>) -> rusqlite::Result<JobStatus> {
                 accelerators: row.get(5)?,
             },
             retry: Retry { attempts: row.get(6)?, first_delay_s: row.get(7)?, longest_delay_s: row.get(8)? },
+            accelerator: None,
         },
         state: word(row, 9, &JobState::ALL, JobState::word)?,
         attempt: row.get(10)?,

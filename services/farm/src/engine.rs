@@ -87,8 +87,17 @@ pub struct WorkerOffer {
     pub free: Needs,
     /// What it has in all: jobs that need no more may wait for it, and less urgent ones do not take their capacity.
     pub whole: Needs,
+    /// What accelerator it has, by name; jobs that want another one are left for others.
+    pub accelerator: Option<String>,
     /// A lease that is not renewed for so long, in seconds, is lost.
     pub lease_s: f64,
+}
+
+impl WorkerOffer {
+    /// All of a worker that has no accelerator by name.
+    pub fn all(worker: impl Into<String>, whole: Needs, lease_s: f64) -> Self {
+        Self { worker: worker.into(), free: whole, whole, accelerator: None, lease_s }
+    }
 }
 
 /// The right to work on a job, until it expires or is renewed.
@@ -106,6 +115,8 @@ pub struct JobLease {
     pub until: f64,
     /// How long a renewal lasts, in seconds.
     pub lease_s: f64,
+    /// The artefact with the state of the work that an earlier attempt stored.
+    pub checkpoint: Option<String>,
 }
 
 /// What completing a job did.

@@ -83,6 +83,17 @@ pub struct Job {
     pub needs: Needs,
     /// How often it is tried.
     pub retry: Retry,
+    /// The accelerator that a worker must have, by the name that workers give theirs; `None`: any, or none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub accelerator: Option<String>,
+}
+
+impl Job {
+    /// A job of usual urgency, tried as often as is usual, for a worker with any accelerator.
+    pub fn new(id: impl Into<String>, payload: impl Into<String>, needs: Needs) -> Self {
+        let (priority, retry, accelerator) = (0, Retry::default(), None);
+        Self { id: id.into(), payload: payload.into(), priority, needs, retry, accelerator }
+    }
 }
 
 /// Needs in words: `2 cores, 1.0 GiB`.

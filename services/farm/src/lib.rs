@@ -8,22 +8,16 @@
 //! It runs no stage by itself: each scene is a `segwild run` of its own, which resumes.
 //!
 //! ```
-//! use segwild_farm::{EmbeddedEngine, Job, JobEngine, JobState, Needs, Published, Retry, WorkerOffer};
+//! use segwild_farm::{EmbeddedEngine, Job, JobEngine, JobState, Needs, Published, WorkerOffer};
 //!
 //! let folder = tempfile::tempdir()?;
 //! let engine = EmbeddedEngine::open(folder.path().join("jobs.sqlite"))?;
 //! let needs = Needs { cores: 2, memory_bytes: 1 << 30, accelerators: 0 };
-//! let job = Job {
-//!     id: "liberty".into(),
-//!     payload: "photos/liberty".into(),
-//!     priority: 0,
-//!     needs,
-//!     retry: Retry::default(),
-//! };
+//! let job = Job::new("liberty", "photos/liberty", needs);
 //! assert_eq!(engine.publish(&job)?, Published::New);
 //!
 //! // A worker with too little memory gets nothing; the next one gets a lease, and nobody else the same job.
-//! let offer = WorkerOffer { worker: "here".into(), free: needs, whole: needs, lease_s: 60.0 };
+//! let offer = WorkerOffer::all("here", needs, 60.0);
 //! let small = WorkerOffer { free: Needs { memory_bytes: 1 << 20, ..needs }, ..offer.clone() };
 //! assert!(engine.claim(&small)?.is_none());
 //! let lease = engine.claim(&offer)?.expect("it is free");
@@ -38,6 +32,7 @@
 pub mod batch;
 mod clock;
 pub mod conformance;
+mod crew;
 mod embedded;
 mod engine;
 mod job;
@@ -50,10 +45,9 @@ mod table;
 mod transition;
 mod turn;
 
-pub use batch::{
-    BatchError, BatchEvent, BatchFolder, BatchOptions, BatchRecord, BatchSummary, StopBatch, StopLevel,
-};
+pub use batch::{BatchError, BatchFolder, BatchOptions, BatchRecord, BatchSummary};
 pub use clock::{JobClock, SimulatedClock, SystemClock};
+pub use crew::{BatchEvent, StopBatch, StopLevel};
 pub use embedded::EmbeddedEngine;
 pub use engine::{
     ChangeKind, Completed, EngineError, ErrorClass, JobChange, JobEngine, JobFate, JobLease, JobState,

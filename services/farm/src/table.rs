@@ -51,9 +51,9 @@ pub(crate) struct Entry {
 /// All jobs. Times are seconds since 1970, by the clock of the log.
 ///
 /// ```
-/// use segwild_farm::{Job, JobTable, Needs, Retry, Transition};
+/// use segwild_farm::{Job, JobTable, Needs};
 /// let needs = Needs { cores: 1, memory_bytes: 0, accelerators: 0 };
-/// let job = Job { id: "a".into(), payload: String::new(), priority: 0, needs, retry: Retry::default() };
+/// let job = Job::new("a", "", needs);
 /// let mut table = JobTable::default();
 /// let decision = table.publish(&job);
 /// for transition in &decision.transitions {
@@ -114,6 +114,7 @@ impl JobTable {
             failures: status.failures,
             until: status.lease_until?,
             lease_s,
+            checkpoint: status.checkpoint.clone(),
         })
     }
 
@@ -163,7 +164,9 @@ impl JobTable {
     /// Takes the most urgent job that fits; answers with its name.
     pub fn claim(&self, offer: &WorkerOffer, now: f64) -> Decision<Option<String>> {
         let mut transitions = self.expiries(now);
-        let could_start = |job: &&JobStatus| job.state == JobState::Pending && job.due <= now;
+        let has_it = |job: &Job| job.accelerator.is_none() || job.accelerator == offer.accelerator;
+        let could_start =
+            |job: &&JobStatus| job.state == JobState::Pending && job.due <= now && has_it(&job.job);
         let mut waiting: Vec<&Job> = self.jobs().filter(could_start).map(|status| &status.job).collect();
         waiting.sort_by_key(|job| Reverse(job.priority));
         let first = turns(&waiting, &offer.free, &offer.whole).iter().position(|turn| turn.fits);

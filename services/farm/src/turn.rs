@@ -20,10 +20,10 @@ pub struct JobTurn<'a> {
 /// worker could not take with all it has (`whole`).
 ///
 /// ```
-/// use segwild_farm::{Job, Needs, Retry, turns};
+/// use segwild_farm::{Job, Needs, turns};
 /// let job = |id: &str, priority, accelerators| {
 ///     let needs = Needs { cores: 1, memory_bytes: 0, accelerators };
-///     Job { id: id.into(), payload: String::new(), priority, needs, retry: Retry::default() }
+///     Job { priority, ..Job::new(id, "", needs) }
 /// };
 /// let (urgent, next, last) = (job("urgent", 9, 2), job("next", 5, 1), job("last", 1, 0));
 /// let whole = Needs { cores: 4, memory_bytes: 0, accelerators: 2 };

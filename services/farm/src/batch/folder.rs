@@ -7,10 +7,10 @@ use segwild_flow::{FileError, files};
 use serde::{Deserialize, Serialize};
 
 use super::error::BatchError;
+use crate::crew::SceneFiles;
 use crate::embedded::EmbeddedEngine;
 use crate::engine::EngineError;
 use crate::job::Needs;
-use crate::manifest::SceneJob;
 
 /// `batch.json`: what the engine does not know.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -78,7 +78,7 @@ impl BatchFolder {
 
     /// The output of a scene's processes.
     pub fn log(&self, scene: &str) -> PathBuf {
-        self.path.join("logs").join(format!("{scene}.log"))
+        SceneFiles::of(&self.path).log(scene)
     }
 
     /// The process that runs the batch now, if any.
@@ -88,10 +88,6 @@ impl BatchFolder {
 
     fn lock_file(&self) -> PathBuf {
         self.path.join("batch.lock")
-    }
-
-    pub(super) fn settings_file(&self, scene: &str) -> PathBuf {
-        self.path.join("settings").join(format!("{scene}.toml"))
     }
 
     /// Takes the batch for this process; the lock ends with what is returned.
@@ -109,13 +105,6 @@ impl BatchFolder {
         let text = serde_json::to_vec_pretty(record).map_err(std::io::Error::other);
         let text = text.map_err(file_error("write", &path))?;
         write(&path, &text)
-    }
-
-    pub(super) fn write_settings(&self, scene: &SceneJob) -> Result<(), BatchError> {
-        let path = self.settings_file(&scene.name);
-        let settings =
-            scene.effective().map_err(std::io::Error::other).map_err(file_error("write", &path))?;
-        write(&path, settings.to_toml().as_bytes())
     }
 }
 

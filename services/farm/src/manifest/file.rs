@@ -34,6 +34,7 @@ pub(super) struct Terms {
     pub cores: Option<u32>,
     pub memory: Option<Size>,
     pub accelerators: Option<u32>,
+    pub accelerator: Option<String>,
     pub attempts: Option<u32>,
     pub until: Option<Stop>,
     pub settings: toml::Table,

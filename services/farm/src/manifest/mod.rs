@@ -20,6 +20,7 @@
 //! cores = 2                    # default: the budget's, shared evenly
 //! memory = "1 GiB"             # its `--memory-budget`; default: the budget's, shared as the cores are
 //! accelerators = 0             # that it has for itself as long as it runs
+//! # accelerator = "h100"       # which one, by the name that a farm's workers give theirs
 //! # until = "geometry"         # where it stops: a stage, or a step of the training
 //! settings = { steps = 4000 }
 //! ```
@@ -165,6 +166,7 @@ impl BatchManifest {
                     attempts: own.attempts.or(d.attempts).unwrap_or(3).max(1),
                     ..Retry::default()
                 },
+                accelerator: own.accelerator.clone().or_else(|| d.accelerator.clone()),
             };
             jobs.push((scene, job));
         }

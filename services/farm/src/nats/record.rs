@@ -108,6 +108,7 @@ fn message_of(transition: &Transition) -> v1::JobTransition {
             attempts: job.retry.attempts,
             first_delay_s: job.retry.first_delay_s,
             longest_delay_s: job.retry.longest_delay_s,
+            accelerator: job.accelerator.clone(),
         }),
         Transition::Claimed { job, worker, lease_s } => {
             Change::Claimed(v1::JobClaimed { job: job.clone(), worker: worker.clone(), lease_s: *lease_s })
@@ -158,6 +159,7 @@ fn transition_of(message: v1::JobTransition) -> Result<Transition, RecordError> 
                 first_delay_s: finite(job.first_delay_s)?,
                 longest_delay_s: finite(job.longest_delay_s)?,
             },
+            accelerator: job.accelerator,
         }),
         Change::Claimed(m) => {
             Transition::Claimed { job: m.job, worker: m.worker, lease_s: finite(m.lease_s)? }
@@ -219,7 +221,14 @@ mod tests {
         let needs = Needs { cores: 2, memory_bytes: 3 << 30, accelerators: 1 };
         let retry = Retry { attempts: 4, first_delay_s: 1.5, longest_delay_s: 60.0 };
         vec![
-            Transition::Published(Job { id: job(), payload: "p".into(), priority: -3, needs, retry }),
+            Transition::Published(Job {
+                id: job(),
+                payload: "p".into(),
+                priority: -3,
+                needs,
+                retry,
+                accelerator: Some("h100".into()),
+            }),
             Transition::Claimed { job: job(), worker: "w".into(), lease_s: 60.0 },
             Transition::Renewed { job: job(), lease_s: 60.0 },
             Transition::Expired { job: job() },

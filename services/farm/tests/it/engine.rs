@@ -3,7 +3,7 @@
 use segwild_farm::conformance::{Site, broken};
 use segwild_farm::{
     ChangeKind, Completed, EmbeddedEngine, EngineError, ErrorClass, Job, JobChange, JobClock, JobEngine,
-    JobFate, JobLease, JobStatus, Needs, Published, Retry, SimulatedClock, WorkerOffer,
+    JobFate, JobLease, JobStatus, Needs, Published, SimulatedClock, WorkerOffer,
 };
 use segwild_flow::clock::Steady;
 use std::collections::BTreeMap;
@@ -163,7 +163,7 @@ fn the_suite_finds_what_is_broken() {
 
 fn job(id: &str) -> Job {
     let needs = Needs { cores: 1, ..Needs::default() };
-    Job { id: id.into(), payload: String::new(), priority: 0, needs, retry: Retry::default() }
+    Job::new(id, "", needs)
 }
 
 #[test]
@@ -175,7 +175,7 @@ fn what_was_published_survives_its_process() {
     };
     site.embedded().publish(&job("a")).unwrap();
     let free = Needs { cores: 1, ..Needs::default() };
-    let offer = WorkerOffer { worker: "w".into(), free, whole: free, lease_s: 1e9 };
+    let offer = WorkerOffer::all("w", free, 1e9);
     let lease = site.embedded().claim(&offer).unwrap().expect("a lease");
     // The worker's process is gone, and whoever holds the batch's lock knows it.
     let engine = site.embedded();
@@ -191,7 +191,7 @@ fn a_rest_that_ends_later_than_it_lasts_is_over_when_the_machine_was_restarted()
     let path = dir.path().join("jobs.sqlite");
     let at = |since: &'static str, wall: f64| -> Arc<dyn JobClock> { Arc::new(Standing { since, wall }) };
     let free = Needs { cores: 1, ..Needs::default() };
-    let offer = WorkerOffer { worker: "w".into(), free, whole: free, lease_s: 60.0 };
+    let offer = WorkerOffer::all("w", free, 60.0);
     let before = EmbeddedEngine::with_clock(&path, at("the first start", 1e9)).unwrap();
     before.publish(&job("a")).unwrap();
     let lease = before.claim(&offer).unwrap().expect("a lease");

@@ -120,12 +120,11 @@ fn the_engine_on_jetstream_conforms() {
 fn job(id: &str) -> Job {
     let retry = Retry { attempts: 3, first_delay_s: 0.5, longest_delay_s: 5.0 };
     let needs = Needs { cores: 1, ..Needs::default() };
-    Job { id: id.into(), payload: "{}".into(), priority: 0, needs, retry }
+    Job { retry, ..Job::new(id, "{}", needs) }
 }
 
 fn offer(worker: &str, lease_s: f64) -> WorkerOffer {
-    let free = Needs { cores: 1, ..Needs::default() };
-    WorkerOffer { worker: worker.into(), free, whole: free, lease_s }
+    WorkerOffer::all(worker, Needs { cores: 1, ..Needs::default() }, lease_s)
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! A batch as operators see it: its scenes, why they wait, and the terminal's page.
 
 use crate::common::*;
-use segwild_farm::{BatchFolder, BatchRecord, EmbeddedEngine, Job, JobEngine, Needs, Retry, WorkerOffer};
+use segwild_farm::{BatchFolder, BatchRecord, EmbeddedEngine, Job, JobEngine, Needs, WorkerOffer};
 use segwild_monitor::metrics::render;
 use segwild_monitor::view::SceneState;
 use segwild_monitor::{MonitorView, top};
@@ -31,10 +31,10 @@ fn a_scene_that_waits_for_an_accelerator_says_so_and_who_goes_first() {
     let wants = [("works", 9, 1), ("urgent", 5, 2), ("small", 1, 1), ("without", 0, 0)];
     for (name, priority, accelerators) in wants {
         let needs = Needs { cores: 1, memory_bytes: 1 << 20, accelerators };
-        let job = Job { id: name.into(), payload: "{}".into(), priority, needs, retry: Retry::default() };
+        let job = Job { priority, ..Job::new(name, "{}", needs) };
         engine.publish(&job).expect("it is published");
     }
-    let offer = WorkerOffer { worker: "batch".into(), free: budget, whole: budget, lease_s: 1e9 };
+    let offer = WorkerOffer::all("batch", budget, 1e9);
     assert_eq!(engine.claim(&offer).expect("it works").expect("a lease").job.id, "works");
     let record = BatchRecord { manifest: "b.toml".into(), budget, pid: std::process::id(), began: now() };
     let path = folder.path();
@@ -68,9 +68,9 @@ fn a_scene_that_was_taken_and_cannot_start_names_what_it_waits_for() {
     let engine = EmbeddedEngine::open(folder.engine_file()).expect("an engine");
     let budget = Needs { cores: 2, memory_bytes: 1 << 30, accelerators: 0 };
     let needs = Needs { cores: 1, ..budget };
-    let job = Job { id: "held".into(), payload: "{}".into(), priority: 0, needs, retry: Retry::default() };
+    let job = Job::new("held", "{}", needs);
     engine.publish(&job).expect("it is published");
-    let offer = WorkerOffer { worker: "batch".into(), free: budget, whole: budget, lease_s: 1e9 };
+    let offer = WorkerOffer::all("batch", budget, 1e9);
     let lease = engine.claim(&offer).expect("it works").expect("a lease");
     let record = BatchRecord { manifest: "b.toml".into(), budget, pid: std::process::id(), began: now() };
     let path = folder.path();
@@ -141,7 +141,7 @@ fn a_scene_that_does_not_run_has_no_rates_and_an_attempt_that_was_cut_short_is_n
     let engine = EmbeddedEngine::open(path.join("batch.sqlite")).expect("an engine");
     engine.release(None, "the batch that held it ended early").expect("it is released");
     let free = Needs { cores: 2, memory_bytes: 8 << 30, accelerators: 0 };
-    let offer = WorkerOffer { worker: "batch".into(), free, whole: free, lease_s: 1e9 };
+    let offer = WorkerOffer::all("batch", free, 1e9);
     assert_eq!(engine.claim(&offer).expect("it works").expect("a lease").attempt, 2);
     let page = top::frame(&view(&path), 80, 24);
     let row = |name: &str| page.lines().find(|l| l[1..].starts_with(name)).expect("a row").to_owned();

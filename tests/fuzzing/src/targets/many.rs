@@ -2,7 +2,7 @@
 
 use crate::yard::{folder, put, take};
 use crate::{FuzzTarget, seal, seeds};
-use segwild_farm::{BatchManifest, EmbeddedEngine, ErrorClass, Job, JobEngine, Needs, Retry, WorkerOffer};
+use segwild_farm::{BatchManifest, EmbeddedEngine, ErrorClass, Job, JobEngine, Needs, WorkerOffer};
 
 pub(super) const MANIFEST: FuzzTarget = FuzzTarget {
     name: "manifest_toml",
@@ -37,15 +37,11 @@ pub(super) const MANIFEST: FuzzTarget = FuzzTarget {
 };
 
 fn job(name: &str) -> Job {
-    Job {
-        id: name.into(),
-        payload: format!(
-            "{{\"name\": \"{name}\", \"path\": \"/a\", \"out\": \"/b\", \"settings\": {{}}, \"until\": null}}"
-        ),
-        priority: 1,
-        needs: Needs { cores: 1, memory_bytes: 1 << 30, accelerators: 0 },
-        retry: Retry::default(),
-    }
+    let payload = format!(
+        "{{\"name\": \"{name}\", \"path\": \"/a\", \"out\": \"/b\", \"settings\": {{}}, \"until\": null}}"
+    );
+    let needs = Needs { cores: 1, memory_bytes: 1 << 30, accelerators: 0 };
+    Job { priority: 1, ..Job::new(name, payload, needs) }
 }
 
 /// A batch of two scenes, one of which is being worked on and one of which has failed.
@@ -54,7 +50,7 @@ fn batch() -> Vec<u8> {
     let made = || -> Result<(), segwild_farm::EngineError> {
         let engine = EmbeddedEngine::open(&file)?;
         let free = Needs { cores: 4, memory_bytes: 8 << 30, accelerators: 0 };
-        let offer = WorkerOffer { worker: "batch 1".into(), free, whole: free, lease_s: 1e9 };
+        let offer = WorkerOffer::all("batch 1", free, 1e9);
         for name in ["one", "two"] {
             engine.publish(&job(name))?;
         }

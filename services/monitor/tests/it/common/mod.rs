@@ -138,16 +138,15 @@ pub fn batch_in(dir: &Path) -> (PathBuf, Ledger, std::fs::File) {
             settings: BTreeMap::new(),
             until: None,
         };
+        let needs = Needs { cores: 2, memory_bytes: 1 << 30, accelerators: 0 };
         let job = Job {
-            id: (*name).into(),
-            payload: serde_json::to_string(&scene).expect("JSON"),
             priority: 9 - i as i32,
-            needs: Needs { cores: 2, memory_bytes: 1 << 30, accelerators: 0 },
             retry: Retry { first_delay_s: 1000.0, longest_delay_s: 1000.0, ..Retry::default() },
+            ..Job::new(*name, serde_json::to_string(&scene).expect("JSON"), needs)
         };
         engine.publish(&job).expect("it is published");
         let free = Needs { cores: 2, memory_bytes: 8 << 30, accelerators: 0 };
-        let offer = WorkerOffer { worker: "batch".into(), free, whole: free, lease_s: 1e9 };
+        let offer = WorkerOffer::all("batch", free, 1e9);
         leases.push(engine.claim(&offer).expect("it works").expect("a lease"));
     }
     engine.fail(&leases[1], ErrorClass::Retryable, "no luck").expect("it fails");

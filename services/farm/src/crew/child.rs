@@ -6,11 +6,11 @@ use std::path::Path;
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use segwild_flow::Ledger;
 use segwild_flow::shortage::is_shortage_of_processes;
-use segwild_flow::{Ledger, files};
 
 use super::event::BatchEvent;
-use super::folder::BatchFolder;
+use super::files::SceneFiles;
 use crate::engine::{ErrorClass, JobLease};
 use crate::job::Needs;
 use crate::manifest::SceneJob;
@@ -45,7 +45,7 @@ pub(super) struct SceneWorker {
     /// Why it could not be started when it was taken.
     pub waits: Option<String>,
     still: Still,
-    scene: SceneJob,
+    pub scene: SceneJob,
     process: Option<Process>,
     taken: Instant,
 }
@@ -99,7 +99,7 @@ impl SceneWorker {
     /// Starts the process if it can start; returns how it ended if it has.
     pub fn advance(
         &mut self,
-        folder: &BatchFolder,
+        files: &SceneFiles,
         program: &Path,
         tell: &mut dyn FnMut(&BatchEvent),
     ) -> Option<Ended> {
@@ -126,7 +126,7 @@ impl SceneWorker {
             }
             return None;
         }
-        match self.start(folder, program) {
+        match self.start(files, program) {
             Ok(process) => {
                 tell(&BatchEvent::SceneStarted {
                     scene: self.scene.name.clone(),
@@ -150,8 +150,8 @@ impl SceneWorker {
         (!list.is_empty()).then(|| list.join(","))
     }
 
-    fn start(&self, folder: &BatchFolder, program: &Path) -> std::io::Result<Process> {
-        let mut log = files::open_to_append(&folder.log(&self.scene.name)).map_err(|e| e.source)?;
+    fn start(&self, files: &SceneFiles, program: &Path) -> std::io::Result<Process> {
+        let mut log = files.open_log(&self.scene.name)?;
         writeln!(log, "== attempt {} on {} cores", self.lease.failures + 1, self.granted.cores)?;
         let log_from = log.metadata()?.len();
         let mut command = Command::new(program);
@@ -161,7 +161,7 @@ impl SceneWorker {
             .arg("--out")
             .arg(&self.scene.out)
             .arg("--config")
-            .arg(folder.settings_file(&self.scene.name))
+            .arg(files.settings_file(&self.scene.name))
             .arg("--threads")
             .arg(self.granted.cores.to_string())
             .arg("--memory-budget")
@@ -231,12 +231,12 @@ impl SceneWorker {
     }
 
     /// Why it failed: its last words, or how it ended.
-    pub fn last_words(&self, folder: &BatchFolder, code: Option<i32>) -> String {
+    pub fn last_words(&self, files: &SceneFiles, code: Option<i32>) -> String {
         if let Some(reason) = &self.hung {
             return reason.clone();
         }
         let from = self.process.as_ref().map_or(0, |p| p.log_from);
-        let output = read_from(&folder.log(&self.scene.name), from).unwrap_or_default();
+        let output = read_from(&files.log(&self.scene.name), from).unwrap_or_default();
         let error = output.lines().rev().find_map(|line| line.strip_prefix("error: ")).map(str::to_owned);
         match (error, code) {
             (Some(error), _) => error,

@@ -17,7 +17,7 @@ pub enum StopLevel {
 /// Asks a batch to stop; clones ask the same one. Levels only rise.
 ///
 /// ```
-/// use segwild_farm::batch::{StopBatch, StopLevel};
+/// use segwild_farm::{StopBatch, StopLevel};
 /// let stop = StopBatch::default();
 /// stop.raise(StopLevel::AtOnce);
 /// stop.clone().raise(StopLevel::Stop);

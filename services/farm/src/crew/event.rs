@@ -1,4 +1,4 @@
-//! What happens in a batch.
+//! What happens to the scenes of a machine.
 
 use serde::Serialize;
 
@@ -6,6 +6,27 @@ use serde::Serialize;
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum BatchEvent {
+    /// What a scene's process reads is fetched from the farm's artefacts.
+    SceneFetches {
+        /// The scene.
+        scene: String,
+        /// Whether it continues what another attempt stored.
+        resumes: bool,
+    },
+    /// The state of a scene was stored for other machines.
+    SceneStored {
+        /// The scene.
+        scene: String,
+        /// How long that took, in seconds.
+        seconds: f64,
+    },
+    /// The engine does not answer; the scenes go on.
+    EngineSilent {
+        /// Why.
+        reason: String,
+    },
+    /// The engine answers again.
+    EngineBack,
     /// A scene's process starts.
     SceneStarted {
         /// The scene.

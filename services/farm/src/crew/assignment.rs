@@ -1,0 +1,178 @@
+//! A leased scene on its way through a machine: fetched, run, stored.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use segwild_flow::shortage::is_shortage_of_processes;
+
+use super::child::{Ended, SceneWorker};
+use super::event::BatchEvent;
+use super::files::SceneFiles;
+use super::host::{HostFailure, SceneHost};
+use crate::engine::ErrorClass;
+
+/// Work on a thread of its own.
+struct Errand<T>(JoinHandle<Result<T, HostFailure>>);
+
+impl<T: Send + 'static> Errand<T> {
+    fn start(work: impl FnOnce() -> Result<T, HostFailure> + Send + 'static) -> Result<Self, HostFailure> {
+        let refused = |error: std::io::Error| HostFailure {
+            class: if is_shortage_of_processes(&error) {
+                ErrorClass::Shortage
+            } else {
+                ErrorClass::Retryable
+            },
+            words: format!("a thread cannot be started: {error}"),
+        };
+        std::thread::Builder::new().name("artefacts".into()).spawn(work).map(Self).map_err(refused)
+    }
+
+    fn is_finished(&self) -> bool {
+        self.0.is_finished()
+    }
+
+    fn result(self) -> Result<T, HostFailure> {
+        self.0.join().unwrap_or_else(|_| Err(HostFailure::passing("its thread panicked")))
+    }
+}
+
+/// What an assignment has to report.
+pub(super) enum Step {
+    /// Nothing yet.
+    Goes,
+    /// The state was stored as this artefact.
+    Stored(String),
+    /// It is over: how its process ended, and the artefact with what it left.
+    Over,
+}
+
+/// A leased scene with its process.
+pub(super) struct Assignment {
+    pub worker: SceneWorker,
+    host: Arc<dyn SceneHost>,
+    fetching: Option<Errand<()>>,
+    storing: Option<(Instant, Errand<Option<String>>)>,
+    /// When the state was last stored, or the work began.
+    stored_at: Instant,
+    /// The last artefact.
+    pub stored: Option<String>,
+    /// How its process ended.
+    pub ended: Option<Ended>,
+    ended_at: Option<Instant>,
+    /// Whether what it left was stored, or need not be.
+    is_settled: bool,
+}
+
+impl Assignment {
+    pub fn new(worker: SceneWorker, host: Arc<dyn SceneHost>) -> Self {
+        let mut assignment = Self {
+            worker,
+            host,
+            fetching: None,
+            storing: None,
+            stored_at: Instant::now(),
+            stored: None,
+            ended: None,
+            ended_at: None,
+            is_settled: false,
+        };
+        if assignment.host.is_remote() {
+            let (host, lease) = (assignment.host.clone(), assignment.worker.lease.clone());
+            let scene = assignment.worker.scene.clone();
+            match Errand::start(move || host.fetch(&lease, &scene)) {
+                Ok(fetching) => assignment.fetching = Some(fetching),
+                Err(failure) => assignment.give_up(failure),
+            }
+        }
+        assignment
+    }
+
+    fn give_up(&mut self, failure: HostFailure) {
+        self.ended = Some(Ended::NotStarted(failure.class, failure.words));
+        self.is_settled = true;
+    }
+
+    /// Goes on as far as it can without waiting.
+    pub fn advance(
+        &mut self,
+        files: &SceneFiles,
+        program: &Path,
+        store_every: Duration,
+        tell: &mut dyn FnMut(&BatchEvent),
+    ) -> Step {
+        if self.is_settled && self.ended.is_some() {
+            return Step::Over;
+        }
+        if let Some(fetching) = self.fetching.take() {
+            if self.worker.stop_requested {
+                // What was fetched so far is there the next time.
+                (self.ended, self.is_settled) = (Some(Ended::Code(None)), true);
+                return Step::Over;
+            }
+            if !fetching.is_finished() {
+                self.fetching = Some(fetching);
+                return Step::Goes;
+            }
+            if let Err(failure) = fetching.result() {
+                self.give_up(failure);
+                return Step::Over;
+            }
+            self.stored_at = Instant::now();
+        }
+        if self.ended.is_none() {
+            self.ended = self.worker.advance(files, program, tell);
+            self.ended_at = self.ended.is_some().then(Instant::now);
+        }
+        if let Some((began, storing)) = self.storing.take() {
+            if !storing.is_finished() {
+                self.storing = Some((began, storing));
+                return Step::Goes;
+            }
+            return self.stored(began, storing.result(), tell);
+        }
+        if !self.host.is_remote() || !self.worker.has_started() {
+            self.is_settled = self.ended.is_some();
+        } else if self.ended.is_some() || self.stored_at.elapsed() >= store_every {
+            let (host, scene) = (self.host.clone(), self.worker.scene.clone());
+            match Errand::start(move || host.store(&scene)) {
+                Ok(storing) => self.storing = Some((Instant::now(), storing)),
+                Err(failure) => return self.stored(Instant::now(), Err(failure), tell),
+            }
+        }
+        if self.is_settled && self.ended.is_some() { Step::Over } else { Step::Goes }
+    }
+
+    fn stored(
+        &mut self,
+        began: Instant,
+        result: Result<Option<String>, HostFailure>,
+        tell: &mut dyn FnMut(&BatchEvent),
+    ) -> Step {
+        self.stored_at = Instant::now();
+        // Of what was stored while the process still ran, the end is missing.
+        self.is_settled = self.ended.is_some() && self.ended_at.is_none_or(|ended| began >= ended);
+        match result {
+            Ok(artefact) => {
+                if let Some(artefact) = artefact.filter(|artefact| self.stored.as_ref() != Some(artefact)) {
+                    let seconds = began.elapsed().as_secs_f64();
+                    tell(&BatchEvent::SceneStored { scene: self.worker.scene.name.clone(), seconds });
+                    self.stored = Some(artefact.clone());
+                    return Step::Stored(artefact);
+                }
+                Step::Goes
+            }
+            Err(failure) => {
+                if self.is_settled && matches!(self.ended, Some(Ended::Code(Some(0)))) {
+                    // A result that nobody finds is none.
+                    let words = format!("its result could not be stored: {failure}");
+                    self.ended = Some(Ended::NotStarted(failure.class, words));
+                } else {
+                    tracing::warn!(scene = %self.worker.scene.name, %failure, "the state could not be stored");
+                }
+                Step::Goes
+            }
+        }
+    }
+}

@@ -1,0 +1,354 @@
+//! The scenes that one machine works on: leased from an engine, each a process of its own, within the machine's budget.
+//!
+//! A scene's process keeps its standard input open and stops, resumable, when it ends: a crew that dies, however it dies,
+//! leaves no process running.
+
+mod assignment;
+mod child;
+mod event;
+mod files;
+mod host;
+mod stop;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+pub use event::BatchEvent;
+pub(crate) use files::SceneFiles;
+pub(crate) use host::{LocalHost, SceneHost};
+pub use stop::{StopBatch, StopLevel};
+
+use self::assignment::{Assignment, Step};
+use self::child::{Ended, SceneWorker};
+use crate::clock::{JobClock, SystemClock};
+use crate::engine::{
+    EngineError, ErrorClass, JobEngine, JobFate, JobLease, JobState, JobStatus, WorkerOffer,
+};
+use crate::job::Needs;
+
+/// A lease lasts so long without a heartbeat, in seconds.
+pub(crate) const LEASE_S: f64 = 60.0;
+/// How often processes are checked.
+const TICK: Duration = Duration::from_millis(100);
+/// A jump of the clock that is reported, in seconds.
+const JUMP_REPORTED_S: f64 = 60.0;
+/// How often work is requested when nothing has changed.
+const ASK_EVERY: Duration = Duration::from_secs(1);
+
+/// What a machine works with.
+pub(crate) struct CrewTerms<'a> {
+    /// Whose jobs.
+    pub engine: &'a dyn JobEngine,
+    /// Who it is for the engine.
+    pub name: String,
+    /// What may be used of the machine.
+    pub budget: Needs,
+    /// The accelerator that the machine has, as jobs name it.
+    pub accelerator: Option<String>,
+    /// A process in which nothing has moved for so long, in seconds, is ended.
+    pub patience_s: f64,
+    /// The state of a scene is stored so often, where scenes are stored.
+    pub store_every: Duration,
+    /// Whether it ends when no job is open.
+    pub ends_when_idle: bool,
+    /// The program whose `run` command runs a scene.
+    pub program: PathBuf,
+    /// What kind of failure an exit code is; `None`: ended by a signal.
+    pub classify: fn(Option<i32>) -> ErrorClass,
+    /// Who stops it.
+    pub stop: StopBatch,
+    /// Where settings and logs are.
+    pub files: SceneFiles,
+    /// Where scenes come from, and where their state goes.
+    pub host: Arc<dyn SceneHost>,
+    /// Where events go.
+    pub tell: &'a mut dyn FnMut(&BatchEvent),
+}
+
+impl CrewTerms<'_> {
+    /// Works until nothing is left, or until it is asked to stop; returns whether it was interrupted. Whatever goes wrong, no
+    /// process is left running.
+    pub fn work(self) -> Result<bool, EngineError> {
+        let mut crew = Crew { terms: self, assignments: Vec::new(), silent: false };
+        let outcome = crew.conduct();
+        crew.abandon();
+        outcome
+    }
+}
+
+struct Crew<'a> {
+    terms: CrewTerms<'a>,
+    assignments: Vec<Assignment>,
+    /// Whether the engine did not answer the last time.
+    silent: bool,
+}
+
+impl Crew<'_> {
+    fn conduct(&mut self) -> Result<bool, EngineError> {
+        let (mut last_request, mut clocks_read): (Option<Instant>, Option<Instant>) = (None, None);
+        loop {
+            let stop = self.terms.stop.level();
+            for assignment in &mut self.assignments {
+                match stop {
+                    StopLevel::Run => {}
+                    StopLevel::Stop => assignment.worker.ask_to_stop(),
+                    StopLevel::AtOnce => assignment.worker.kill(),
+                }
+            }
+            for assignment in &mut self.assignments {
+                assignment.worker.check_progress(self.terms.patience_s);
+            }
+            let changed = self.reap()?;
+            self.beat()?;
+            if clocks_read.is_none_or(|at| at.elapsed() >= ASK_EVERY) {
+                clocks_read = Some(Instant::now());
+                let jumps = self.terms.engine.jumps();
+                for seconds in self.heard(jumps)?.unwrap_or_default() {
+                    if seconds.abs() >= JUMP_REPORTED_S {
+                        (self.terms.tell)(&BatchEvent::ClockJumped { seconds });
+                    }
+                }
+            }
+            if stop > StopLevel::Run {
+                if self.assignments.is_empty() {
+                    return Ok(self.open_jobs()? != Some(0));
+                }
+            } else if changed || last_request.is_none_or(|at| at.elapsed() >= ASK_EVERY) {
+                while self.claim()? {}
+                last_request = Some(Instant::now());
+                if self.terms.ends_when_idle && self.assignments.is_empty() && self.open_jobs()? == Some(0) {
+                    return Ok(false);
+                }
+            }
+            self.terms.stop.wait(TICK);
+        }
+    }
+
+    /// An engine's answer; `None` where it does not answer now. The work goes on meanwhile.
+    fn heard<T>(&mut self, answer: Result<T, EngineError>) -> Result<Option<T>, EngineError> {
+        match answer {
+            Err(EngineError::Server { reason, .. }) => {
+                if !std::mem::replace(&mut self.silent, true) {
+                    (self.terms.tell)(&BatchEvent::EngineSilent { reason });
+                }
+                Ok(None)
+            }
+            Err(error) => Err(error),
+            Ok(answer) => {
+                if std::mem::take(&mut self.silent) {
+                    (self.terms.tell)(&BatchEvent::EngineBack);
+                }
+                Ok(Some(answer))
+            }
+        }
+    }
+
+    /// As [`Crew::heard`], of a call by who holds a lease; `Some(None)`: it is lost.
+    fn heard_by_holder<T>(
+        &mut self,
+        answer: Result<T, EngineError>,
+    ) -> Result<Option<Option<T>>, EngineError> {
+        match answer {
+            Err(EngineError::Lost { .. }) => Ok(Some(None)),
+            other => Ok(self.heard(other)?.map(Some)),
+        }
+    }
+
+    /// How many jobs are not ended yet.
+    fn open_jobs(&mut self) -> Result<Option<usize>, EngineError> {
+        let open = |j: &&JobStatus| matches!(j.state, JobState::Pending | JobState::Leased);
+        let jobs = self.terms.engine.jobs();
+        Ok(self.heard(jobs)?.map(|jobs| jobs.iter().filter(open).count()))
+    }
+
+    fn free(&self) -> Needs {
+        self.assignments.iter().fold(self.terms.budget, |free, a| a.worker.granted.taken_from(&free))
+    }
+
+    /// So many of the machine's cores that no scene has: a scene's actors compute at the same time, each with as many
+    /// threads as the scene has cores, and without a fence they would take the cores of others. None where the budget
+    /// promises more cores than there are.
+    fn cpus(&self, count: u32) -> Vec<u32> {
+        let taken = |core: &u32| self.assignments.iter().any(|a| a.worker.cpus.contains(core));
+        let free: Vec<u32> = segwild_flow::cpu::allowed().into_iter().filter(|core| !taken(core)).collect();
+        free.get(..count as usize).map(<[u32]>::to_vec).unwrap_or_default()
+    }
+
+    /// Takes a scene; `false` when none fits now.
+    fn claim(&mut self) -> Result<bool, EngineError> {
+        let free = self.free();
+        if free.cores == 0 {
+            return Ok(false);
+        }
+        let claimed = self.terms.engine.claim(&WorkerOffer {
+            worker: self.terms.name.clone(),
+            free,
+            whole: self.terms.budget,
+            accelerator: self.terms.accelerator.clone(),
+            lease_s: LEASE_S,
+        });
+        let Some(lease) = self.heard(claimed)?.flatten() else { return Ok(false) };
+        let scene = match self.terms.host.scene(&lease.job) {
+            Ok(scene) => scene,
+            Err(failure) => {
+                self.failed(&lease, failure.class, &failure.words)?;
+                return Ok(true);
+            }
+        };
+        if let Err(error) = self.terms.files.write_settings(&scene) {
+            let words = format!("its settings cannot be written: {error}");
+            self.failed(&lease, ErrorClass::Retryable, &words)?;
+            return Ok(true);
+        }
+        let mut granted = lease.job.needs;
+        // The last scene need not leave cores idle that nobody else needs.
+        let jobs = self.terms.engine.jobs();
+        let nobody_waits = |jobs: Vec<JobStatus>| !jobs.iter().any(|j| j.state == JobState::Pending);
+        if self.heard(jobs)?.is_some_and(nobody_waits) {
+            granted.cores = free.cores;
+        }
+        if self.terms.host.is_remote() {
+            let resumes = lease.checkpoint.is_some();
+            (self.terms.tell)(&BatchEvent::SceneFetches { scene: scene.name.clone(), resumes });
+        }
+        let cpus = self.cpus(granted.cores);
+        let worker = SceneWorker::new(lease, scene, granted, cpus);
+        self.assignments.push(Assignment::new(worker, self.terms.host.clone()));
+        Ok(true)
+    }
+
+    /// Lets every assignment go on, and books those that are over; returns whether any is.
+    fn reap(&mut self) -> Result<bool, EngineError> {
+        let mut changed = false;
+        let mut i = 0;
+        // In the order in which they were claimed: the most urgent process is started first.
+        while i < self.assignments.len() {
+            let assignment = &mut self.assignments[i];
+            let (waited, had_started) = (assignment.worker.waits.is_some(), assignment.worker.has_started());
+            let step = assignment.advance(
+                &self.terms.files,
+                &self.terms.program,
+                self.terms.store_every,
+                self.terms.tell,
+            );
+            let worker = &assignment.worker;
+            // The status of the batch shows which scenes wait, and why.
+            let starts = waited && worker.has_started() && !had_started;
+            if starts || !waited && worker.waits.is_some() {
+                let (lease, reason) = (worker.lease.clone(), worker.waits.clone().filter(|_| !starts));
+                let noted = self.terms.engine.note_wait(&lease, reason.as_deref());
+                self.heard_by_holder(noted)?;
+            }
+            match step {
+                Step::Goes => i += 1,
+                Step::Stored(artefact) => {
+                    let lease = self.assignments[i].worker.lease.clone();
+                    let noted = self.terms.engine.checkpoint(&lease, &artefact);
+                    self.heard_by_holder(noted)?;
+                    i += 1;
+                }
+                Step::Over => {
+                    if self.book(i)? {
+                        self.assignments.remove(i);
+                        changed = true;
+                    } else {
+                        i += 1;
+                    }
+                }
+            }
+        }
+        Ok(changed)
+    }
+
+    /// Books how an assignment ended; `false` where the engine does not answer now.
+    fn book(&mut self, i: usize) -> Result<bool, EngineError> {
+        let assignment = &self.assignments[i];
+        let worker = &assignment.worker;
+        let (lease, scene) = (worker.lease.clone(), worker.scene.name.clone());
+        match &assignment.ended {
+            None => Ok(true),
+            Some(Ended::Code(Some(0))) => {
+                let seconds = worker.seconds();
+                let mut outcome = serde_json::json!({ "seconds": seconds });
+                if let Some(artefact) = &assignment.stored {
+                    outcome["artefact"] = artefact.clone().into();
+                }
+                let completed = self.terms.engine.complete(&lease, &outcome.to_string());
+                let Some(answer) = self.heard_by_holder(completed)? else { return Ok(false) };
+                if answer.is_some() {
+                    (self.terms.tell)(&BatchEvent::SceneDone { scene, seconds });
+                }
+                Ok(true)
+            }
+            Some(Ended::Code(_)) if worker.stop_requested => {
+                let failed = self.terms.engine.fail(&lease, ErrorClass::Stopped, "stopped");
+                let Some(answer) = self.heard_by_holder(failed)? else {
+                    // A lease of who was stopped and cannot say so runs out.
+                    return Ok(self.terms.stop.level() > StopLevel::Run);
+                };
+                if answer.is_some() {
+                    (self.terms.tell)(&BatchEvent::SceneStopped { scene });
+                }
+                Ok(true)
+            }
+            Some(Ended::Code(code)) => {
+                let error = worker.last_words(&self.terms.files, *code);
+                let class = (self.terms.classify)(*code);
+                self.failed(&lease, class, &error)
+            }
+            Some(Ended::NotStarted(class, error)) => {
+                let (class, error) = (*class, error.clone());
+                self.failed(&lease, class, &error)
+            }
+        }
+    }
+
+    /// Ends an attempt; `false` where the engine does not answer now.
+    fn failed(&mut self, lease: &JobLease, class: ErrorClass, error: &str) -> Result<bool, EngineError> {
+        let (scene, error) = (lease.job.id.clone(), error.to_owned());
+        let fate = self.terms.engine.fail(lease, class, &error);
+        let Some(fate) = self.heard_by_holder(fate)? else { return Ok(false) };
+        match fate {
+            Some(JobFate::Retry { due }) => {
+                // Between the two readings the clock may have jumped.
+                let delay_s = (due - SystemClock.now()).clamp(0.0, lease.job.retry.longest_delay_s);
+                (self.terms.tell)(&BatchEvent::SceneRetries { scene, error, delay_s });
+            }
+            Some(JobFate::Dead) => (self.terms.tell)(&BatchEvent::SceneDied { scene, error }),
+            Some(JobFate::Released) => (self.terms.tell)(&BatchEvent::SceneStopped { scene }),
+            None => {}
+        }
+        Ok(true)
+    }
+
+    /// Renews leases that are a third over.
+    fn beat(&mut self) -> Result<(), EngineError> {
+        for i in 0..self.assignments.len() {
+            let worker = &mut self.assignments[i].worker;
+            if worker.renewed.elapsed().as_secs_f64() < LEASE_S / 3.0 {
+                continue;
+            }
+            worker.renewed = Instant::now();
+            let lease = worker.lease.clone();
+            let renewed = self.terms.engine.heartbeat(&lease);
+            match self.heard_by_holder(renewed)? {
+                Some(Some(until)) => self.assignments[i].worker.lease.until = until,
+                // Somebody else has the scene: two must not work on it.
+                Some(None) => self.assignments[i].worker.kill(),
+                None => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// After an error: stops who still runs.
+    fn abandon(&mut self) {
+        for assignment in &mut self.assignments {
+            assignment.worker.ask_to_stop();
+        }
+        for mut assignment in self.assignments.drain(..) {
+            assignment.worker.wait();
+        }
+    }
+}
