@@ -36,7 +36,7 @@ fn folder_of(path: &Path) -> &Path {
 }
 
 fn write_parts(file: &mut File, path: &Path, parts: &[&[u8]]) -> Result<(), FileError> {
-    let written = parts.iter().try_for_each(|part| file.write_all(part)).and_then(|()| file.sync_all());
+    let written = parts.iter().try_for_each(|part| file.write_all(part));
     written.map_err(|e| FileError::new("write", path, e))
 }
 
@@ -83,6 +83,37 @@ pub fn write_plain(path: impl AsRef<Path>, bytes: impl AsRef<[u8]>) -> io::Resul
 /// # Errors
 /// As [`write_atomic`].
 pub fn write_aside(aside: &Path, path: &Path, parts: &[&[u8]]) -> Result<(), FileError> {
+    fill_aside(aside, path, |file| write_parts(file, path, parts))
+}
+
+/// As [`write_atomic`], of bytes that arrive bit by bit: `fill` writes them into a file aside, which takes the name only
+/// when `fill` has succeeded. What `fill` refuses never appears.
+///
+/// ```
+/// use segwild_files::{FileError, write_with};
+/// use std::io::Write;
+/// let folder = tempfile::tempdir().unwrap();
+/// let path = folder.path().join("model.bin");
+/// let refused = write_with(&path, |file| {
+///     file.write_all(b"half").and(Err(std::io::Error::other("the rest is missing"))).map_err(|e| FileError::new("read", &path, e))
+/// });
+/// assert!(refused.is_err() && std::fs::read_dir(folder.path()).unwrap().next().is_none());
+/// ```
+///
+/// # Errors
+/// Those of `fill`, and as [`write_atomic`].
+pub fn write_with<E: From<FileError>>(
+    path: &Path,
+    fill: impl FnOnce(&mut File) -> Result<(), E>,
+) -> Result<(), E> {
+    fill_aside(folder_of(path), path, fill)
+}
+
+fn fill_aside<E: From<FileError>>(
+    aside: &Path,
+    path: &Path,
+    fill: impl FnOnce(&mut File) -> Result<(), E>,
+) -> Result<(), E> {
     let folder = folder_of(path);
     for wanted in [aside, folder] {
         fs::create_dir_all(wanted).map_err(|e| FileError::new("create the folder", wanted, e))?;
@@ -91,16 +122,17 @@ pub fn write_aside(aside: &Path, path: &Path, parts: &[&[u8]]) -> Result<(), Fil
     let stem = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     fault::point("file.write").map_err(failed)?;
     let (temporary, mut file) = create_aside(aside, &format!(".{stem}")).map_err(failed)?;
-    let mut write = || {
-        write_parts(&mut file, path, parts)?;
+    let write = || -> Result<(), E> {
+        fill(&mut file)?;
+        file.sync_all().map_err(failed)?;
         fault::point("file.rename").map_err(failed)?;
-        fs::rename(&temporary, path).map_err(failed)
+        Ok(fs::rename(&temporary, path).map_err(failed)?)
     };
     write().inspect_err(|_| {
         // The error that matters is the first one; what is left aside is only litter.
         let _ = fs::remove_file(&temporary);
     })?;
-    sync_folder(folder)
+    Ok(sync_folder(folder)?)
 }
 
 /// Opens a file to add to its end; it is made, with its folder, if it is not there.

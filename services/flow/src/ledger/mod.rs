@@ -27,6 +27,7 @@
 //! assert_eq!(status.stages().unwrap()[0].state, State::Done);
 //! ```
 
+mod copy;
 mod error;
 mod live;
 mod live_rows;
