@@ -3,6 +3,7 @@
 //! - [`JobEngine`]: where jobs wait and who works on which; [`EmbeddedEngine`] keeps them in SQLite, and
 //!   [`conformance`] is what any engine has to pass.
 //! - [`BatchManifest`]: the scenes of a batch, their settings, priorities and needs, and the machine's budget.
+//! - [`ArtefactStore`], [`ArtefactSession`]: inputs, checkpoints and results between machines, by their bytes.
 //! - [`batch`]: runs a manifest's scenes side by side, each as a process of its own.
 //!
 //! It runs no stage by itself: each scene is a `segwild run` of its own, which resumes.
@@ -29,6 +30,7 @@
 //!
 //! Start reading at `engine.rs`, then `batch/mod.rs`.
 
+mod artefacts;
 pub mod batch;
 mod clock;
 pub mod conformance;
@@ -45,6 +47,10 @@ mod table;
 mod transition;
 mod turn;
 
+pub use artefacts::{
+    ArtefactDigest, ArtefactError, ArtefactSession, ArtefactStore, DigestError, FolderEntry, FolderLimits,
+    FolderManifest, JetStreamArtefacts, ObjectArtefacts,
+};
 pub use batch::{BatchError, BatchFolder, BatchOptions, BatchRecord, BatchSummary};
 pub use clock::{JobClock, SimulatedClock, SystemClock};
 pub use crew::{BatchEvent, StopBatch, StopLevel};

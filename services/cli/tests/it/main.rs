@@ -12,6 +12,7 @@ mod depends;
 mod deploying;
 mod disk;
 mod distorted;
+mod elsewhere;
 mod kills;
 mod objects;
 mod operators;

@@ -1,0 +1,235 @@
+//! Artefacts in a shared folder or on S3.
+
+use std::path::Path as FilePath;
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures_util::StreamExt;
+use object_store::aws::AmazonS3Builder;
+use object_store::local::LocalFileSystem;
+use object_store::path::Path;
+use object_store::{MultipartUpload, ObjectStore, ObjectStoreExt, PutMode, PutPayload};
+
+use super::calls::{Calls, ShutDown};
+use super::digest::ArtefactDigest;
+use super::error::ArtefactError;
+use super::http::HyperConnector;
+use super::store::ArtefactStore;
+use super::transfer::{Outgoing, receive};
+
+/// Bytes of a part; two are in memory at once. S3 takes no less than 5 MiB.
+const PART: usize = 6 << 20;
+/// S3 takes at most 10,000 parts.
+const PARTS: u64 = 9000;
+/// Pieces that are received before they are written.
+const AHEAD: usize = 8;
+/// A store that delivers nothing for so long is given up.
+const SILENCE: Duration = Duration::from_secs(60);
+/// The environment's names of an endpoint, as S3's clients know them; the first that is set holds.
+const ENDPOINTS: [&str; 3] = ["AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT"];
+
+/// A store of artefacts in a folder that all machines mount, or in a bucket of S3.
+///
+/// ```text
+/// PREFIX/ab/abcdef..   an artefact by its digest
+/// ```
+#[derive(Debug)]
+pub struct ObjectArtefacts {
+    name: String,
+    store: Arc<dyn ObjectStore>,
+    prefix: Path,
+    calls: Calls,
+}
+
+impl ObjectArtefacts {
+    /// The store at an address: a folder, `file:///FOLDER` or `s3://BUCKET/PREFIX`. The endpoint, the region and the
+    /// credentials of S3 come from the environment (`AWS_ENDPOINT_URL`, `AWS_REGION`, `AWS_ACCESS_KEY_ID`, ..) and from
+    /// nowhere else.
+    ///
+    /// # Errors
+    /// When the address or the environment makes no sense, or the folder cannot be made.
+    pub fn open(address: &str) -> Result<Self, ArtefactError> {
+        let wrong = |reason: String| ArtefactError::Address { address: address.to_owned(), reason };
+        let (store, prefix): (Arc<dyn ObjectStore>, Path) = match address.split_once("://") {
+            Some(("s3", rest)) => {
+                let (bucket, prefix) = rest.split_once('/').unwrap_or((rest, ""));
+                if bucket.is_empty() || bucket.contains(['@', '?', '#']) {
+                    return Err(wrong("it names no bucket".into()));
+                }
+                let prefix = Path::parse(prefix).map_err(|e| wrong(e.to_string()))?;
+                (Arc::new(bucket_of(bucket).map_err(|e| wrong(e.to_string()))?), prefix)
+            }
+            Some(("file", folder)) if folder.starts_with('/') => {
+                (folder_at(folder, &wrong)?, Path::default())
+            }
+            Some(_) => return Err(wrong("it is of another kind".into())),
+            None if address.is_empty() => return Err(wrong("it is empty".into())),
+            None => (folder_at(address, &wrong)?, Path::default()),
+        };
+        let calls = Calls::own().map_err(|e| wrong(format!("no thread can be started: {e}")))?;
+        Ok(Self { name: address.to_owned(), store, prefix, calls })
+    }
+
+    fn key(&self, digest: &ArtefactDigest) -> Path {
+        let hex = digest.to_string();
+        self.prefix.clone().join(&hex[..2]).join(hex.as_str())
+    }
+
+    fn failed<E: std::error::Error + Send + Sync + 'static>(
+        &self,
+        action: &str,
+        digest: &ArtefactDigest,
+    ) -> impl Fn(E) -> ArtefactError + use<E> {
+        let (store, action) = (self.name.clone(), format!("{action} the artefact {digest}"));
+        move |error| ArtefactError::Store {
+            store: store.clone(),
+            action: action.clone(),
+            source: Box::new(error),
+        }
+    }
+
+    /// In one piece, and only if it is not there.
+    fn put_small(&self, digest: &ArtefactDigest, bytes: Vec<u8>) -> Result<(), ArtefactError> {
+        let (store, key) = (self.store.clone(), self.key(digest));
+        let put = self
+            .calls
+            .wait(async move { store.put_opts(&key, PutPayload::from(bytes), PutMode::Create.into()).await });
+        match put.map_err(self.failed::<ShutDown>("store", digest))? {
+            Ok(_) | Err(object_store::Error::AlreadyExists { .. }) => Ok(()),
+            Err(error) => Err(self.failed("store", digest)(error)),
+        }
+    }
+
+    /// In parts: the next one is read while one is sent. Nothing appears before the last one has come.
+    fn put_large(
+        &self,
+        digest: &ArtefactDigest,
+        mut file: Outgoing,
+        first: Vec<u8>,
+        part: usize,
+    ) -> Result<(), ArtefactError> {
+        let (store, key) = (self.store.clone(), self.key(digest));
+        let upload = self.calls.wait(async move { store.put_multipart(&key).await });
+        let upload = upload.map_err(self.failed::<ShutDown>("store", digest))?;
+        let mut upload = upload.map_err(self.failed::<object_store::Error>("store", digest))?;
+        match self.send_parts(digest, &mut file, first, part, upload.as_mut()) {
+            Ok(()) => {
+                let done = self.calls.wait(async move { upload.complete().await });
+                let done = done.map_err(self.failed::<ShutDown>("store", digest))?;
+                done.map(|_| ()).map_err(self.failed::<object_store::Error>("store", digest))
+            }
+            Err(error) => {
+                // The error that matters is the first one.
+                let _ = self.calls.wait(async move { upload.abort().await });
+                Err(error)
+            }
+        }
+    }
+
+    fn send_parts(
+        &self,
+        digest: &ArtefactDigest,
+        file: &mut Outgoing,
+        first: Vec<u8>,
+        part: usize,
+        upload: &mut dyn MultipartUpload,
+    ) -> Result<(), ArtefactError> {
+        let mut next = first;
+        loop {
+            let last = next.len() < part;
+            let sent = (!next.is_empty()).then(|| self.calls.start(upload.put_part(PutPayload::from(next))));
+            next = if last { Vec::new() } else { file.piece(part)? };
+            if let Some(sent) = sent {
+                let sent = sent.wait().map_err(self.failed::<ShutDown>("store", digest))?;
+                sent.map_err(self.failed::<object_store::Error>("store", digest))?;
+            }
+            if last {
+                return file.check();
+            }
+        }
+    }
+}
+
+fn folder_at(
+    folder: &str,
+    wrong: &impl Fn(String) -> ArtefactError,
+) -> Result<Arc<dyn ObjectStore>, ArtefactError> {
+    let made = std::fs::create_dir_all(FilePath::new(folder));
+    made.map_err(|e| wrong(format!("the folder cannot be made: {e}")))?;
+    let store = LocalFileSystem::new_with_prefix(folder).map_err(|e| wrong(e.to_string()))?;
+    Ok(Arc::new(store.with_fsync(true)))
+}
+
+fn bucket_of(bucket: &str) -> object_store::Result<object_store::aws::AmazonS3> {
+    let endpoint = ENDPOINTS.iter().find_map(|name| std::env::var(name).ok().filter(|url| !url.is_empty()));
+    let plain = endpoint.as_ref().is_some_and(|url| url.starts_with("http://"));
+    let mut builder = AmazonS3Builder::from_env()
+        .with_bucket_name(bucket)
+        .with_allow_http(plain)
+        .with_http_connector(HyperConnector { plain });
+    if let Some(endpoint) = endpoint {
+        builder = builder.with_endpoint(endpoint.trim_end_matches('/'));
+    }
+    builder.build()
+}
+
+impl ArtefactStore for ObjectArtefacts {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn has(&self, digest: &ArtefactDigest) -> Result<bool, ArtefactError> {
+        let (store, key) = (self.store.clone(), self.key(digest));
+        let found = self.calls.wait(async move { store.head(&key).await });
+        match found.map_err(self.failed::<ShutDown>("find", digest))? {
+            Ok(_) => Ok(true),
+            Err(object_store::Error::NotFound { .. }) => Ok(false),
+            Err(error) => Err(self.failed("find", digest)(error)),
+        }
+    }
+
+    fn put(&self, digest: &ArtefactDigest, file: &FilePath) -> Result<(), ArtefactError> {
+        if self.has(digest)? {
+            return Ok(());
+        }
+        let mut file = Outgoing::open(digest, file)?;
+        let part = PART.max(usize::try_from(file.length()? / PARTS).unwrap_or(usize::MAX));
+        let first = file.piece(part)?;
+        if first.len() < part {
+            file.check()?;
+            return self.put_small(digest, first);
+        }
+        self.put_large(digest, file, first, part)
+    }
+
+    fn get(&self, digest: &ArtefactDigest, to: &FilePath) -> Result<(), ArtefactError> {
+        let (store, key) = (self.store.clone(), self.key(digest));
+        let found = self.calls.wait(async move { store.get(&key).await });
+        let found = match found.map_err(self.failed::<ShutDown>("fetch", digest))? {
+            Ok(found) => found,
+            Err(object_store::Error::NotFound { .. }) => {
+                return Err(ArtefactError::Missing { store: self.name.clone(), digest: *digest });
+            }
+            Err(error) => return Err(self.failed("fetch", digest)(error)),
+        };
+        let (send, mut pieces) = tokio::sync::mpsc::channel(AHEAD);
+        let failed = self.failed::<object_store::Error>("fetch", digest);
+        let late = self.failed::<tokio::time::error::Elapsed>("fetch", digest);
+        // Ends when the file is whole, or nobody takes a piece any more.
+        let _under_way = self.calls.start(async move {
+            let mut stream = found.into_stream();
+            loop {
+                let piece = match tokio::time::timeout(SILENCE, stream.next()).await {
+                    Ok(Some(piece)) => piece.map_err(&failed),
+                    Ok(None) => break,
+                    Err(elapsed) => Err(late(elapsed)),
+                };
+                let ends = piece.is_err();
+                if send.send(piece).await.is_err() || ends {
+                    break;
+                }
+            }
+        });
+        receive(&self.name, digest, to, || pieces.blocking_recv())
+    }
+}

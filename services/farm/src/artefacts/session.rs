@@ -1,0 +1,205 @@
+//! Folders to and from a store.
+
+use std::collections::{HashMap, HashSet};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::{Duration, SystemTime};
+
+use segwild_flow::FileError;
+use segwild_flow::files::{self, Stray, stays_inside};
+
+use super::digest::ArtefactDigest;
+use super::error::ArtefactError;
+use super::manifest::{FolderEntry, FolderLimits, FolderManifest};
+use super::parallel::each;
+use super::store::ArtefactStore;
+use super::walk::{self, Found};
+
+/// How often a file that changes while it is read is tried.
+const TRIES: usize = 4;
+/// A file that was written so shortly before it was read may be written again without a change of its time.
+const SETTLED: Duration = Duration::from_secs(2);
+
+/// A file as it was when it was hashed.
+#[derive(Clone, Copy, PartialEq, Eq)]
+struct Seen {
+    bytes: u64,
+    modified: SystemTime,
+}
+
+/// Stores and fetches folders. It remembers the digests of files that it has read, by path, length and time, and what the
+/// store has: a run that is stored after each checkpoint is not read as a whole again.
+pub struct ArtefactSession {
+    store: Arc<dyn ArtefactStore>,
+    limits: FolderLimits,
+    hashed: Mutex<HashMap<PathBuf, (Seen, ArtefactDigest)>>,
+    stored: Mutex<HashSet<ArtefactDigest>>,
+}
+
+/// Which files a folder may do without.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Gone {
+    /// None: who removes one while the folder is stored breaks it.
+    Refused,
+    /// Those that were removed since they were listed.
+    LeftOut,
+}
+
+fn hold<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+impl ArtefactSession {
+    /// A session with a store.
+    pub fn new(store: Arc<dyn ArtefactStore>) -> Self {
+        Self::within(store, FolderLimits::default())
+    }
+
+    /// The same with other limits of a folder.
+    pub fn within(store: Arc<dyn ArtefactStore>, limits: FolderLimits) -> Self {
+        Self { store, limits, hashed: Mutex::default(), stored: Mutex::default() }
+    }
+
+    /// Stores those files of a folder whose paths `wanted` accepts (it sees folders as well), as far as the store has not got them.
+    /// Links are followed. Returns the digest of the folder's manifest.
+    ///
+    /// # Errors
+    /// When a file cannot be read or changes all the time, or the store cannot be reached.
+    pub fn store_folder(
+        &self,
+        folder: &Path,
+        wanted: &dyn Fn(&str) -> bool,
+    ) -> Result<ArtefactDigest, ArtefactError> {
+        let found = walk::files(folder, &self.limits, wanted)?;
+        let entries = self.store_files(&found, Gone::Refused)?;
+        self.store_manifest(folder, entries)
+    }
+
+    /// Fetches a folder. Files that are there with the right digest stay as they are; others of these names are replaced;
+    /// further files stay. Nothing is written outside of `into`, whatever links are in it.
+    ///
+    /// # Errors
+    /// When the manifest is refused, a file of it is missing or damaged in the store, or the folder cannot be written.
+    pub fn fetch_folder(
+        &self,
+        digest: &ArtefactDigest,
+        into: &Path,
+    ) -> Result<FolderManifest, ArtefactError> {
+        std::fs::create_dir_all(into).map_err(|e| FileError::new("create the folder", into, e))?;
+        let manifest = self.fetch_manifest(digest, into)?;
+        self.fetch_files(manifest.files(), into)?;
+        Ok(manifest)
+    }
+
+    pub(super) fn limits(&self) -> &FolderLimits {
+        &self.limits
+    }
+
+    pub(super) fn store(&self) -> &dyn ArtefactStore {
+        self.store.as_ref()
+    }
+
+    pub(super) fn store_files(&self, found: &[Found], gone: Gone) -> Result<Vec<FolderEntry>, ArtefactError> {
+        let entries = each(found, |found| match self.store_file(found) {
+            Err(error) if gone == Gone::LeftOut && error.is_gone() => Ok(None),
+            stored => stored.map(Some),
+        })?;
+        Ok(entries.into_iter().flatten().collect())
+    }
+
+    fn store_file(&self, found: &Found) -> Result<FolderEntry, ArtefactError> {
+        let mut tries = 1;
+        loop {
+            let (digest, bytes) = self.digest_of(&found.source)?;
+            match self.put(&digest, &found.source) {
+                Ok(()) => return Ok(FolderEntry { path: found.path.clone(), digest, bytes }),
+                Err(ArtefactError::Changed { .. }) if tries < TRIES => {
+                    tries += 1;
+                    hold(&self.hashed).remove(&found.source);
+                }
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    fn put(&self, digest: &ArtefactDigest, file: &Path) -> Result<(), ArtefactError> {
+        if hold(&self.stored).contains(digest) {
+            return Ok(());
+        }
+        self.store.put(digest, file)?;
+        hold(&self.stored).insert(*digest);
+        Ok(())
+    }
+
+    /// The digest of a file and its length, from memory if the file is as it was.
+    fn digest_of(&self, file: &Path) -> Result<(ArtefactDigest, u64), ArtefactError> {
+        let failed = |e| FileError::new("read", file, e);
+        let data = std::fs::metadata(file).map_err(failed)?;
+        let seen = Seen { bytes: data.len(), modified: data.modified().map_err(failed)? };
+        if let Some((_, digest)) = hold(&self.hashed).get(file).filter(|(before, _)| *before == seen) {
+            return Ok((*digest, seen.bytes));
+        }
+        let (digest, bytes) = ArtefactDigest::of_file(file)?;
+        let settled = seen.modified.elapsed().is_ok_and(|age| age > SETTLED);
+        if settled && bytes == seen.bytes {
+            hold(&self.hashed).insert(file.to_owned(), (seen, digest));
+        }
+        Ok((digest, bytes))
+    }
+
+    pub(super) fn store_manifest(
+        &self,
+        folder: &Path,
+        entries: Vec<FolderEntry>,
+    ) -> Result<ArtefactDigest, ArtefactError> {
+        let manifest = FolderManifest::new(entries);
+        let unfit = |reason| ArtefactError::Unfit { path: folder.to_owned(), reason };
+        manifest.check(&self.limits).map_err(unfit)?;
+        let json = manifest.to_json();
+        if json.len() as u64 > self.limits.manifest_bytes {
+            return Err(unfit(format!("its list of files has {} bytes", json.len())));
+        }
+        let digest = ArtefactDigest::of(&json);
+        let file = std::env::temp_dir().join(files::unique_name(".segwild-manifest"));
+        let stored = files::write_private(&file, &json).map_err(ArtefactError::from);
+        let stored = stored.and_then(|()| self.put(&digest, &file));
+        // In the folder of the system it is only litter.
+        let _ = std::fs::remove_file(&file);
+        stored.map(|()| digest)
+    }
+
+    /// A folder's manifest, by way of a file in `into`.
+    pub(super) fn fetch_manifest(
+        &self,
+        digest: &ArtefactDigest,
+        into: &Path,
+    ) -> Result<FolderManifest, ArtefactError> {
+        let file = into.join(files::unique_name(".manifest"));
+        self.store.get(digest, &file)?;
+        let read = files::read_within(&file, self.limits.manifest_bytes);
+        // It was ours alone.
+        let _ = std::fs::remove_file(&file);
+        let refused = |reason| ArtefactError::Manifest { digest: *digest, reason };
+        let json = read.map_err(|e| refused(format!("its manifest cannot be read: {e}")))?;
+        FolderManifest::parse(&json, &self.limits).map_err(refused)
+    }
+
+    pub(super) fn fetch_files(&self, entries: &[FolderEntry], into: &Path) -> Result<(), ArtefactError> {
+        stays_inside(into, |_| true)?;
+        each(entries, |entry| self.fetch_file(entry, into)).map(|_| ())
+    }
+
+    fn fetch_file(&self, entry: &FolderEntry, into: &Path) -> Result<(), ArtefactError> {
+        let to = into.join(&entry.path);
+        let there = std::fs::symlink_metadata(&to);
+        if there.as_ref().is_ok_and(|data| data.is_dir()) {
+            let reason = "a folder is where a file is to be: remove it".into();
+            return Err(Stray { path: to, reason }.into());
+        }
+        let same = there.is_ok_and(|data| data.is_file() && data.len() == entry.bytes);
+        if same && self.digest_of(&to)?.0 == entry.digest {
+            return Ok(());
+        }
+        self.store.get(&entry.digest, &to)
+    }
+}
