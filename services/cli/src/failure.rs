@@ -7,7 +7,7 @@ use segwild_bench::point::PointError;
 use segwild_eval::protocols::ProtocolError;
 use segwild_eval::record::RecordError;
 use segwild_eval::trial::TrialError;
-use segwild_farm::BatchError;
+use segwild_farm::{ArtefactError, BatchError, EngineError, FarmBatchError, WorkerError};
 use segwild_flow::files::name::shown;
 use segwild_flow::{LedgerError, shortage};
 use segwild_gpu::GpuError;
@@ -142,6 +142,52 @@ impl From<BatchError> for Failure {
             BatchError::Engine(_) | BatchError::File { .. } | BatchError::Busy { .. } => exit::FOLDER,
         };
         Failure { message: error.to_string(), code }
+    }
+}
+
+impl From<EngineError> for Failure {
+    fn from(error: EngineError) -> Failure {
+        // A farm that does not answer is as a stage that failed: the same command continues.
+        let server = matches!(error, EngineError::Server { .. });
+        Failure { message: error.to_string(), code: if server { exit::INCOMPLETE } else { exit::FOLDER } }
+    }
+}
+
+impl From<ArtefactError> for Failure {
+    fn from(error: ArtefactError) -> Failure {
+        let code = match &error {
+            ArtefactError::Address { .. } => exit::USAGE,
+            ArtefactError::Unfit { .. } | ArtefactError::Manifest { .. } => exit::INPUT,
+            ArtefactError::Missing { .. } | ArtefactError::Damaged { .. } | ArtefactError::Store { .. } => {
+                exit::INCOMPLETE
+            }
+            _ => exit::FOLDER,
+        };
+        Failure { message: error.to_string(), code }
+    }
+}
+
+impl From<FarmBatchError> for Failure {
+    fn from(error: FarmBatchError) -> Failure {
+        let message = error.to_string();
+        match error {
+            FarmBatchError::Manifest(_) | FarmBatchError::Name(_) | FarmBatchError::Scene { .. } => {
+                Failure { message, code: exit::USAGE }
+            }
+            FarmBatchError::Engine(error) => error.into(),
+            FarmBatchError::Photos { source, .. } | FarmBatchError::Result { source, .. } => {
+                Failure { message, ..Failure::from(source) }
+            }
+        }
+    }
+}
+
+impl From<WorkerError> for Failure {
+    fn from(error: WorkerError) -> Failure {
+        match error {
+            WorkerError::Engine(error) => error.into(),
+            other => Failure { message: other.to_string(), code: exit::FOLDER },
+        }
     }
 }
 

@@ -4,6 +4,7 @@ mod args;
 mod commands;
 mod exit;
 mod failure;
+mod farm;
 mod operators;
 mod output;
 mod progress;

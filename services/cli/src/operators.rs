@@ -4,10 +4,9 @@ use crate::exit;
 use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_flow::{Stopper, shortage};
-use segwild_monitor::{Server, serve};
+use segwild_monitor::{MonitorSource, Server, serve};
 use std::io::Read;
 use std::net::SocketAddr;
-use std::path::Path;
 
 /// Adds `--listen`.
 pub fn listen_args(command: Command) -> Command {
@@ -28,10 +27,14 @@ pub fn child_args(command: Command) -> Command {
         .arg(cpus)
 }
 
-/// Serves a folder's view if that was asked for.
-pub fn listen(matches: &ArgMatches, folder: &Path, per_scene: bool) -> Result<Option<Server>, Failure> {
+/// Serves the view of a folder or a farm if that is wanted.
+pub fn listen(
+    matches: &ArgMatches,
+    source: impl Into<MonitorSource>,
+    per_scene: bool,
+) -> Result<Option<Server>, Failure> {
     let Some(address) = matches.get_one::<SocketAddr>("listen") else { return Ok(None) };
-    let server = serve(*address, folder.to_owned(), per_scene)?;
+    let server = serve(*address, source, per_scene)?;
     eprintln!("listening on http://{}", server.address());
     Ok(Some(server))
 }

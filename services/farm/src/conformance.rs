@@ -111,7 +111,7 @@ const LEASE_S: f64 = 2.0;
 const REST_S: f64 = 1.0;
 
 /// The suite.
-pub const CHECKS: [ConformanceCheck; 25] = [
+pub const CHECKS: [ConformanceCheck; 26] = [
     ("publishing twice is publishing once", publishing_twice),
     ("another payload starts again, but not under a worker's hands", another_payload),
     ("the most urgent job goes first, equals in order", urgency),
@@ -130,6 +130,10 @@ pub const CHECKS: [ConformanceCheck; 25] = [
     ("a lease lasts as long as it should under a clock that jumps", lease_under_jumps),
     ("a fatal failure is a dead letter at once", fatal),
     ("a job that silences every worker becomes a dead letter", silent_to_death),
+    (
+        "a job that may silence workers is tried alone the last time, and others are not given up for it",
+        tried_alone,
+    ),
     ("being stopped costs no attempt", stopping),
     ("a shortage of the machine rests, and costs no attempt", shortage),
     ("a dead letter can be revived, and nothing else can", reviving),
@@ -465,6 +469,28 @@ fn silent_to_death(site: &dyn Site) -> Result<(), ConformanceFailure> {
     }
     nothing(&*engine, "after it has silenced three workers")?;
     expect("its state", state(&*engine, "a")?, JobState::Dead)
+}
+
+fn tried_alone(site: &dyn Site) -> Result<(), ConformanceFailure> {
+    let engine = site.engine();
+    engine.publish(&job("innocent"))?;
+    engine.publish(&job("poison"))?;
+    for _ in 0..2 {
+        let both = [claim(&*engine, "w")?, claim(&*engine, "w")?];
+        expect("not alone yet", both.map(|lease| lease.alone), [false, false])?;
+        site.pass(LEASE_S * 1.5);
+        nothing(&*engine, "as the leases end")?;
+        site.pass(60.0 * REST_S);
+    }
+    let busy = WorkerOffer { free: Needs { cores: 3, ..offer("w").free }, ..offer("w") };
+    expect("who has something else to do", engine.claim(&busy)?, None)?;
+    let lease = claim(&*site.engine(), "w")?;
+    expect("the last attempt", (lease.job.id.as_str(), lease.alone, lease.failures), ("innocent", true, 2))?;
+    expect("it was not the one", engine.complete(&lease, "done")?, Completed::Now)?;
+    claim(&*engine, "w")?;
+    site.pass(LEASE_S * 1.5);
+    nothing(&*engine, "as the last lease ends")?;
+    expect("the other one", state(&*engine, "poison")?, JobState::Dead)
 }
 
 fn stopping(site: &dyn Site) -> Result<(), ConformanceFailure> {

@@ -36,7 +36,9 @@ CREATE TABLE changes (
 
 /// Additions that older versions of the program ignore.
 const ADDITIONS: &str = "
-CREATE TABLE IF NOT EXISTS additions (job TEXT PRIMARY KEY, checkpoint TEXT, accelerator TEXT);
+CREATE TABLE IF NOT EXISTS additions (
+  job TEXT PRIMARY KEY, checkpoint TEXT, accelerator TEXT, silences INTEGER NOT NULL
+);
 ";
 
 const COLUMNS: &str = "id, payload, priority, cores, memory_bytes, accelerators, attempts, first_delay_s,
@@ -225,10 +227,10 @@ fn load(c: &Connection) -> rusqlite::Result<JobTable> {
         )?
         .query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?
         .collect::<rusqlite::Result<_>>()?;
-    let mut additions: BTreeMap<String, (Option<String>, Option<String>)> = match has_additions {
+    let mut additions: BTreeMap<String, (Option<String>, Option<String>, u32)> = match has_additions {
         true => c
-            .prepare("SELECT job, checkpoint, accelerator FROM additions")?
-            .query_map([], |row| Ok((row.get(0)?, (row.get(1)?, row.get(2)?))))?
+            .prepare("SELECT job, checkpoint, accelerator, silences FROM additions")?
+            .query_map([], |row| Ok((row.get(0)?, (row.get(1)?, row.get(2)?, row.get(3)?))))?
             .collect::<rusqlite::Result<_>>()?,
         // Opened to read a file of before.
         false => BTreeMap::new(),
@@ -237,7 +239,7 @@ fn load(c: &Connection) -> rusqlite::Result<JobTable> {
         .prepare(&format!("SELECT {COLUMNS}, place FROM jobs ORDER BY place"))?
         .query_map([], |row| {
             let mut status = status(row)?;
-            (status.checkpoint, status.job.accelerator) =
+            (status.checkpoint, status.job.accelerator, status.silences) =
                 additions.remove(&status.job.id).unwrap_or_default();
             let waits = waits.remove(&status.job.id);
             Ok((row.get::<_, i64>(20)?.max(0) as u64, Entry { status, waits, timed_by: 0 }))
@@ -317,8 +319,8 @@ fn put(t: &Transaction<'_>, rank: u64, status: &JobStatus) -> rusqlite::Result<(
         i64::try_from(rank).unwrap_or(i64::MAX)
     ])?;
     t.execute(
-        "INSERT OR REPLACE INTO additions (job, checkpoint, accelerator) VALUES (?1, ?2, ?3)",
-        params![job.id, status.checkpoint, job.accelerator],
+        "INSERT OR REPLACE INTO additions (job, checkpoint, accelerator, silences) VALUES (?1, ?2, ?3, ?4)",
+        params![job.id, status.checkpoint, job.accelerator, status.silences],
     )?;
     Ok(())
 }
@@ -362,5 +364,6 @@ fn status(row: &Row<'_>) -> rusqlite::Result<JobStatus> {
         error: row.get(18)?,
         error_class: class.and_then(|c| ErrorClass::ALL.into_iter().find(|k| k.word() == c)),
         checkpoint: None,
+        silences: 0,
     })
 }

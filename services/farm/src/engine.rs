@@ -117,6 +117,8 @@ pub struct JobLease {
     pub lease_s: f64,
     /// The artefact with the state of the work that an earlier attempt stored.
     pub checkpoint: Option<String>,
+    /// Whether the worker does nothing else meanwhile: see [`JobStatus::must_be_alone`].
+    pub alone: bool,
 }
 
 /// What completing a job did.
@@ -303,6 +305,18 @@ pub struct JobStatus {
     /// The artefact with the last stored state of the work: whoever takes the job continues from it.
     #[serde(default)]
     pub checkpoint: Option<String>,
+    /// How many workers fell silent while they had it, since it was published or revived.
+    #[serde(default)]
+    pub silences: u32,
+}
+
+impl JobStatus {
+    /// Whether its next attempt is the last one, and workers fell silent with it. It may be what silences them, or it was
+    /// there when something else did: it is tried on a worker that has nothing else, so that no other job is given up
+    /// for it, and it is not given up for another.
+    pub fn must_be_alone(&self) -> bool {
+        self.silences > 0 && self.failures + 1 >= self.job.retry.attempts
+    }
 }
 
 /// Jobs with leases. Deliveries are at least once; the fence makes effects exactly once.

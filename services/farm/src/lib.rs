@@ -4,6 +4,7 @@
 //!   [`conformance`] is what any engine has to pass.
 //! - [`BatchManifest`]: the scenes of a batch, their settings, priorities and needs, and the machine's budget.
 //! - [`ArtefactStore`], [`ArtefactSession`]: inputs, checkpoints and results between machines, by their bytes.
+//! - [`NatsEngine`]: the engine of a farm, a log on JetStream; [`FarmBatch`] hands scenes in, [`work`] is a worker.
 //! - [`batch`]: runs a manifest's scenes side by side, each as a process of its own.
 //!
 //! It runs no stage by itself: each scene is a `segwild run` of its own, which resumes.
@@ -43,9 +44,11 @@ mod log;
 mod machine;
 mod manifest;
 mod nats;
+mod submit;
 mod table;
 mod transition;
 mod turn;
+mod worker;
 
 pub use artefacts::{
     ArtefactDigest, ArtefactError, ArtefactSession, ArtefactStore, DigestError, FolderEntry, FolderLimits,
@@ -65,6 +68,8 @@ pub use manifest::{
     BatchManifest, FolderTaken, ManifestError, ManifestFileError, MemorySizeError, SceneEntryError, SceneJob,
 };
 pub use nats::{FarmAccess, FarmAddress, FarmAddressError, FarmKey, NatsEngine, USUAL_PATIENCE};
+pub use submit::{FarmBatch, FarmBatchError};
 pub use table::{Decision, JobTable};
 pub use transition::Transition;
 pub use turn::{JobTurn, turns};
+pub use worker::{FarmScene, FarmSceneError, WorkerError, WorkerTerms, usual_budget, work};

@@ -4,7 +4,7 @@
 //! applies it. Whoever applies the same log has the same table.
 
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
@@ -14,7 +14,7 @@ use crate::engine::{
 };
 use crate::job::Job;
 use crate::transition::Transition;
-use crate::turn::turns;
+use crate::turn::TurnQueue;
 
 /// The clocks may disagree by so many seconds: they are not read at the same instant, and are tuned while they run.
 pub(crate) const CLOCK_SLACK_S: f64 = 1.0;
@@ -74,6 +74,12 @@ pub struct JobTable {
     pub(crate) revision: u64,
     /// How often each kind of change has happened.
     pub(crate) counts: BTreeMap<ChangeKind, u64>,
+    /// The ranks of jobs that are pending, the most urgent first.
+    #[serde(skip)]
+    queue: BTreeSet<(Reverse<i32>, u64)>,
+    /// The ranks of jobs that somebody works on.
+    #[serde(skip)]
+    held: BTreeSet<u64>,
 }
 
 impl JobTable {
@@ -81,7 +87,32 @@ impl JobTable {
     pub(crate) fn of(entries: BTreeMap<u64, Entry>, revision: u64) -> Self {
         let ranks = entries.iter().map(|(rank, entry)| (entry.status.job.id.clone(), *rank)).collect();
         let next_rank = entries.keys().next_back().map_or(1, |rank| rank + 1);
-        Self { entries, ranks, next_rank, revision, counts: BTreeMap::new() }
+        Self { entries, ranks, next_rank, revision, ..Self::default() }.sorted()
+    }
+
+    /// With its jobs sorted by what they wait for, as after it was read.
+    pub(crate) fn sorted(mut self) -> Self {
+        for rank in self.entries.keys().copied().collect::<Vec<_>>() {
+            self.sort_in(rank);
+        }
+        self
+    }
+
+    /// Takes a job out of the sorted ones, before it changes.
+    fn sort_out(&mut self, rank: u64) {
+        if let Some(entry) = self.entries.get(&rank) {
+            self.queue.remove(&(Reverse(entry.status.job.priority), rank));
+            self.held.remove(&rank);
+        }
+    }
+
+    fn sort_in(&mut self, rank: u64) {
+        let Some(entry) = self.entries.get(&rank) else { return };
+        match entry.status.state {
+            JobState::Pending => drop(self.queue.insert((Reverse(entry.status.job.priority), rank))),
+            JobState::Leased => drop(self.held.insert(rank)),
+            JobState::Done | JobState::Dead => {}
+        }
     }
 
     /// All jobs, in the order in which they were first published.
@@ -115,6 +146,7 @@ impl JobTable {
             until: status.lease_until?,
             lease_s,
             checkpoint: status.checkpoint.clone(),
+            alone: status.must_be_alone(),
         })
     }
 
@@ -165,12 +197,19 @@ impl JobTable {
     pub fn claim(&self, offer: &WorkerOffer, now: f64) -> Decision<Option<String>> {
         let mut transitions = self.expiries(now);
         let has_it = |job: &Job| job.accelerator.is_none() || job.accelerator == offer.accelerator;
-        let could_start =
-            |job: &&JobStatus| job.state == JobState::Pending && job.due <= now && has_it(&job.job);
-        let mut waiting: Vec<&Job> = self.jobs().filter(could_start).map(|status| &status.job).collect();
-        waiting.sort_by_key(|job| Reverse(job.priority));
-        let first = turns(&waiting, &offer.free, &offer.whole).iter().position(|turn| turn.fits);
-        let job = first.map(|i| waiting[i].id.clone());
+        let could_start = |job: &&JobStatus| job.due <= now && has_it(&job.job);
+        let waiting = self.queue.iter().filter_map(|(_, rank)| Some(&self.entries.get(rank)?.status));
+        let mut turns = TurnQueue::new(&offer.free, &offer.whole);
+        let mut job = None;
+        for status in waiting.filter(could_start) {
+            // One that must be alone needs the whole worker.
+            let all = status.must_be_alone() && status.job.needs.fit(&offer.whole);
+            let needs = if all { offer.whole } else { status.job.needs };
+            if turns.turn(&status.job.id, status.job.priority, &needs).fits {
+                job = Some(status.job.id.clone());
+                break;
+            }
+        }
         if let Some(job) = &job {
             let (worker, lease_s) = (offer.worker.clone(), offer.lease_s);
             transitions.push(Transition::Claimed { job: job.clone(), worker, lease_s });
@@ -179,10 +218,9 @@ impl JobTable {
     }
 
     fn expiries(&self, now: f64) -> Vec<Transition> {
-        let silent = |job: &&JobStatus| {
-            job.state == JobState::Leased && job.lease_until.is_some_and(|until| until < now)
-        };
-        self.jobs().filter(silent).map(|job| Transition::Expired { job: job.job.id.clone() }).collect()
+        let silent = |job: &&JobStatus| job.lease_until.is_some_and(|until| until < now);
+        let held = self.held.iter().filter_map(|rank| Some(&self.entries.get(rank)?.status));
+        held.filter(silent).map(|job| Transition::Expired { job: job.job.id.clone() }).collect()
     }
 
     /// Renews a lease.
@@ -268,6 +306,18 @@ impl JobTable {
     /// Applies a transition of the log's record number `record`, which was appended at `now`; returns what is reported to
     /// those who watch. A transition about a job that is not there changes nothing.
     pub fn apply(&mut self, transition: &Transition, now: f64, record: u64) -> Vec<JobChange> {
+        let rank_of = |table: &Self| transition.job().and_then(|id| table.ranks.get(id)).copied();
+        if let Some(rank) = rank_of(self) {
+            self.sort_out(rank);
+        }
+        let changes = self.follow(transition, now, record);
+        if let Some(rank) = rank_of(self) {
+            self.sort_in(rank);
+        }
+        changes
+    }
+
+    fn follow(&mut self, transition: &Transition, now: f64, record: u64) -> Vec<JobChange> {
         match transition {
             Transition::Published(job) => return self.published(job, now, record),
             Transition::ClockSet { seconds, since } | Transition::TimesMoved { seconds, since } => {
@@ -349,6 +399,7 @@ impl Entry {
             error: None,
             error_class: None,
             checkpoint: None,
+            silences: 0,
         };
         Self { status, waits: None, timed_by: record }
     }
@@ -383,6 +434,7 @@ impl Entry {
             }
             Transition::Expired { .. } => {
                 let error = format!("{} fell silent", self.status.worker.as_deref().unwrap_or("its worker"));
+                self.status.silences += 1;
                 let failed = self.failed(now, ErrorClass::Retryable, &error);
                 vec![(ChangeKind::Expired, error), failed]
             }
@@ -399,7 +451,7 @@ impl Entry {
             }
             Transition::Revived { .. } => {
                 self.status.state = JobState::Pending;
-                self.status.failures = 0;
+                (self.status.failures, self.status.silences) = (0, 0);
                 self.status.due = now;
                 vec![(ChangeKind::Revived, String::new())]
             }

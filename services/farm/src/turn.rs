@@ -33,20 +33,35 @@ pub struct JobTurn<'a> {
 /// assert_eq!(turns[1].kept_for, Some("urgent"));
 /// ```
 pub fn turns<'a>(waiting: &[&'a Job], free: &Needs, whole: &Needs) -> Vec<JobTurn<'a>> {
-    // For jobs of the present priority, and for those after it.
-    let mut here = JobTurn { free: *free, fits: false, kept_for: None };
-    let (mut below, mut priority) = (here, i32::MAX);
-    let mut all = Vec::with_capacity(waiting.len());
-    for job in waiting {
-        if job.priority < priority {
-            (here, priority) = (below, job.priority);
-        }
-        let turn = JobTurn { fits: job.needs.fit(&here.free), ..here };
-        if !turn.fits && job.needs.fit(whole) {
-            below.free = job.needs.taken_from(&below.free);
-            below.kept_for = below.kept_for.or(Some(&job.id));
-        }
-        all.push(turn);
+    let mut queue = TurnQueue::new(free, whole);
+    waiting.iter().map(|job| queue.turn(&job.id, job.priority, &job.needs)).collect()
+}
+
+/// The state of [`turns`] on its way through the queue.
+pub(crate) struct TurnQueue<'a> {
+    whole: Needs,
+    /// For jobs of the present priority, and for those after it.
+    here: JobTurn<'a>,
+    below: JobTurn<'a>,
+    priority: i32,
+}
+
+impl<'a> TurnQueue<'a> {
+    pub fn new(free: &Needs, whole: &Needs) -> Self {
+        let here = JobTurn { free: *free, fits: false, kept_for: None };
+        Self { whole: *whole, here, below: here, priority: i32::MAX }
     }
-    all
+
+    /// The turn of the next job.
+    pub fn turn(&mut self, id: &'a str, priority: i32, needs: &Needs) -> JobTurn<'a> {
+        if priority < self.priority {
+            (self.here, self.priority) = (self.below, priority);
+        }
+        let turn = JobTurn { fits: needs.fit(&self.here.free), ..self.here };
+        if !turn.fits && needs.fit(&self.whole) {
+            self.below.free = needs.taken_from(&self.below.free);
+            self.below.kept_for = self.below.kept_for.or(Some(id));
+        }
+        turn
+    }
 }

@@ -3,24 +3,25 @@
 use crate::args::path_of;
 use crate::exit;
 use crate::failure::{Failure, plain};
+use crate::farm::{Farm, farm_args, reach, shown};
 use crate::operators::{have_files_to_open, listen, listen_args};
 use crate::output::{print_json, print_line};
 use crate::progress::{duration, on_ctrl_c};
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_farm::{
-    BatchEvent, BatchOptions, BatchSummary, JobState, JobStatus, StopBatch, StopLevel, batch,
+    BatchEvent, BatchOptions, BatchSummary, FarmBatch, JobState, JobStatus, StopBatch, StopLevel, batch,
 };
 use segwild_pipeline::Until;
 use std::path::{Path, PathBuf};
 
 /// The command's arguments.
 pub fn command() -> Command {
-    listen_args(Command::new("batch").about("Run many scenes on this machine, unattended").after_help(
-        crate::args::examples(
-            "segwild batch scenes.toml --out runs/night",
-            "segwild batch scenes.toml --retry-dead --listen 127.0.0.1:9464",
-        ),
-    ))
+    let command = Command::new("batch").about("Run many scenes on this machine or a farm, unattended");
+    let command = farm_args(command, "Hand the scenes to this farm and watch: nats://HOST:PORT/NAME");
+    listen_args(command.after_help(crate::args::examples(
+        "segwild batch scenes.toml --out runs/night",
+        "segwild batch scenes.toml --out runs/night --engine nats://queue:4222/night",
+    )))
     .arg(
         Arg::new("manifest")
             .required(true)
@@ -49,6 +50,7 @@ pub fn command() -> Command {
             .action(ArgAction::SetTrue)
             .help("Label metrics with the scene: a time series each"),
     )
+    .arg(crate::args::flag("no-wait", "Hand the scenes to the farm, and do not watch").requires("engine"))
     .arg(crate::args::json())
 }
 
@@ -59,7 +61,10 @@ pub fn batch(matches: &ArgMatches) -> Result<(), Failure> {
     let out = path_of(matches, "out")
         .unwrap_or_else(|| Path::new("runs").join(manifest.file_stem().unwrap_or(manifest.as_os_str())));
     let json = matches.get_flag("json");
-    let _server = listen(matches, &out, matches.get_flag("metrics-per-scene"))?;
+    if let Some(farm) = reach(matches, "batch")? {
+        return on_farm(matches, &farm, &manifest, &out);
+    }
+    let _server = listen(matches, out.clone(), matches.get_flag("metrics-per-scene"))?;
     let stop = StopBatch::default();
     let flags = stop.clone();
     on_ctrl_c(move |press| match press {
@@ -79,38 +84,111 @@ pub fn batch(matches: &ArgMatches) -> Result<(), Failure> {
         retry_dead: matches.get_flag("retry-dead"),
         until: matches.get_one::<Until>("until").copied(),
     };
-    let mut report = Ok(());
-    let summary = batch::run(&manifest, &out, &options, &mut |event| {
-        if !json {
-            eprintln!("{}", plain(&in_words(event)));
-        } else if report.is_ok() {
-            // Nobody listening is no reason to stop working.
-            report = print_json(event);
-        }
-    })?;
-    if json {
-        print_json(&serde_json::json!({ "event": "summary", "folder": out, "summary": summary }))?;
-    } else {
-        table(&summary)?;
-    }
-    let dead = summary.count(JobState::Dead);
+    let mut shown = Shown::new(json);
+    let summary = batch::run(&manifest, &out, &options, &mut |event| shown.show(event))?;
     if summary.interrupted {
+        shown.summary(&summary, &out)?;
         let message = "stopped; the same command goes on from here".into();
         return Err(Failure { message, code: exit::INTERRUPTED });
     }
-    if dead > 0 {
-        let message = format!(
-            "{dead} of {} scenes were given up; mend what they say and run again with --retry-dead (logs: {})",
-            summary.scenes.len(),
-            out.join("logs").display()
-        );
-        return Err(Failure { message, code: exit::INCOMPLETE });
-    }
-    Ok(())
+    shown.ended(&summary, &out)
 }
 
-fn in_words(event: &BatchEvent) -> String {
+/// Hands the scenes to a farm and watches them.
+fn on_farm(matches: &ArgMatches, farm: &Farm, manifest: &Path, out: &Path) -> Result<(), Failure> {
+    let _server = listen(matches, shown(&farm.engine), matches.get_flag("metrics-per-scene"))?;
+    let stop = StopBatch::default();
+    let flags = stop.clone();
+    on_ctrl_c(move |press| match press {
+        1 => flags.raise(StopLevel::Stop),
+        _ => std::process::exit(exit::INTERRUPTED.into()),
+    })?;
+    let name = out.file_name().map_or_else(|| "batch".into(), |name| name.to_string_lossy().into_owned());
+    let batch = FarmBatch {
+        engine: &*farm.engine,
+        artefacts: &farm.artefacts,
+        name,
+        out: Some(out.to_owned()),
+        stop,
+    };
+    let until = matches.get_one::<Until>("until").copied();
+    let mut events = Shown::new(matches.get_flag("json"));
+    batch.submit(manifest, until, matches.get_flag("retry-dead"), &mut |event| events.show(event))?;
+    if matches.get_flag("no-wait") {
+        return Ok(());
+    }
+    let summary = batch.watch(&mut |event| events.show(event))?;
+    if summary.interrupted {
+        events.summary(&summary, out)?;
+        let message = "not watched any more; the farm works on, and the same command watches again".into();
+        return Err(Failure { message, code: exit::INTERRUPTED });
+    }
+    events.ended(&summary, out)
+}
+
+/// Where events and the summary go.
+struct Shown {
+    json: bool,
+    report: Result<(), Failure>,
+}
+
+impl Shown {
+    fn new(json: bool) -> Self {
+        Self { json, report: Ok(()) }
+    }
+
+    fn show(&mut self, event: &BatchEvent) {
+        if !self.json {
+            eprintln!("{}", plain(&in_words(event)));
+        } else if self.report.is_ok() {
+            // Nobody listening is no reason to stop working.
+            self.report = print_json(event);
+        }
+    }
+
+    fn summary(&self, summary: &BatchSummary, out: &Path) -> Result<(), Failure> {
+        match self.json {
+            true => print_json(&serde_json::json!({ "event": "summary", "folder": out, "summary": summary })),
+            false => table(summary),
+        }
+    }
+
+    /// A batch that has come to its end.
+    fn ended(&self, summary: &BatchSummary, out: &Path) -> Result<(), Failure> {
+        self.summary(summary, out)?;
+        match summary.count(JobState::Dead) {
+            0 => Ok(()),
+            dead => {
+                let message = format!(
+                    "{dead} of {} scenes were given up; mend what they say and run again with --retry-dead (logs: {})",
+                    summary.scenes.len(),
+                    out.join("logs").display()
+                );
+                Err(Failure { message, code: exit::INCOMPLETE })
+            }
+        }
+    }
+}
+
+/// An event as a line.
+pub fn in_words(event: &BatchEvent) -> String {
     match event {
+        BatchEvent::SceneFetches { scene, resumes: true } => {
+            format!("{scene} is fetched, to continue what another attempt stored")
+        }
+        BatchEvent::SceneFetches { scene, resumes: false } => format!("{scene} is fetched"),
+        BatchEvent::SceneStored { scene, seconds } => format!("{scene} is stored, in {}", duration(*seconds)),
+        BatchEvent::SceneTaken { scene, worker, attempt } => {
+            let again = if *attempt > 1 { format!(" (taken {attempt} times)") } else { String::new() };
+            format!("{scene} is taken by {worker}{again}")
+        }
+        BatchEvent::SceneFetched { scene, seconds } => {
+            format!("{scene}: the result is here, fetched in {}", duration(*seconds))
+        }
+        BatchEvent::EngineSilent { reason } => {
+            format!("the farm does not answer, the work goes on: {reason}")
+        }
+        BatchEvent::EngineBack => "the farm answers again".into(),
         BatchEvent::SceneStarted { scene, pid, attempt, cores } => {
             let again = if *attempt > 1 { format!(", attempt {attempt}") } else { String::new() };
             let s = if *cores == 1 { "" } else { "s" };

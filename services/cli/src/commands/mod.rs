@@ -17,6 +17,7 @@ mod serve;
 mod status;
 mod top;
 mod vision;
+mod worker;
 
 use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command};
@@ -42,6 +43,7 @@ pub fn program() -> Command {
             bake::command(),
             eval::command(),
             batch::command(),
+            worker::command(),
             status::command(),
             top::command(),
             cache::command(),
@@ -82,6 +84,7 @@ pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
         Some(("bake", m)) => bake::bake(m),
         Some(("eval", m)) => eval::eval(m),
         Some(("batch", m)) => batch::batch(m),
+        Some(("worker", m)) => worker::worker(m),
         Some(("top", m)) => top::top(m),
         Some(("status", m)) => status::status(m),
         Some(("cache", m)) => cache::cache(m),

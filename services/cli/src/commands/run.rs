@@ -69,7 +69,7 @@ pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
     if matches.get_flag("explain") {
         return tell_plan(&scene, &out, &settings, until, json);
     }
-    let _server = listen(matches, &out, false)?;
+    let _server = listen(matches, out.clone(), false)?;
     let page = page_of_run(matches, &out, json)?;
     if page.is_some() {
         // The page shows the scene as it was at the last checkpoint.

@@ -13,6 +13,7 @@ mod deploying;
 mod disk;
 mod distorted;
 mod elsewhere;
+mod farm;
 mod kills;
 mod objects;
 mod operators;

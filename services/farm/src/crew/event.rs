@@ -20,6 +20,22 @@ pub enum BatchEvent {
         /// How long that took, in seconds.
         seconds: f64,
     },
+    /// A worker of the farm has taken a scene.
+    SceneTaken {
+        /// The scene.
+        scene: String,
+        /// The worker.
+        worker: String,
+        /// How often it was taken so far.
+        attempt: u32,
+    },
+    /// The result of a scene was fetched from the farm.
+    SceneFetched {
+        /// The scene.
+        scene: String,
+        /// How long that took, in seconds.
+        seconds: f64,
+    },
     /// The engine does not answer; the scenes go on.
     EngineSilent {
         /// Why.

@@ -43,6 +43,9 @@ pub(crate) trait SceneHost: Send + Sync {
     /// # Errors
     /// Why it cannot.
     fn store(&self, scene: &SceneJob) -> Result<Option<String>, HostFailure>;
+
+    /// The machine has nothing to do with a scene any more, unless it takes it again (`may_return`).
+    fn leave(&self, scene: &SceneJob, may_return: bool);
 }
 
 /// The host of a batch on one machine: photos and run folders are where the manifest names them.
@@ -68,4 +71,6 @@ impl SceneHost for LocalHost {
     fn store(&self, _: &SceneJob) -> Result<Option<String>, HostFailure> {
         Ok(None)
     }
+
+    fn leave(&self, _: &SceneJob, _: bool) {}
 }

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 pub use event::BatchEvent;
 pub(crate) use files::SceneFiles;
-pub(crate) use host::{LocalHost, SceneHost};
+pub(crate) use host::{HostFailure, LocalHost, SceneHost};
 pub use stop::{StopBatch, StopLevel};
 
 use self::assignment::{Assignment, Step};
@@ -201,7 +201,7 @@ impl Crew<'_> {
             self.failed(&lease, ErrorClass::Retryable, &words)?;
             return Ok(true);
         }
-        let mut granted = lease.job.needs;
+        let mut granted = if lease.alone { free } else { lease.job.needs };
         // The last scene need not leave cores idle that nobody else needs.
         let jobs = self.terms.engine.jobs();
         let nobody_waits = |jobs: Vec<JobStatus>| !jobs.iter().any(|j| j.state == JobState::Pending);
@@ -250,7 +250,9 @@ impl Crew<'_> {
                 }
                 Step::Over => {
                     if self.book(i)? {
-                        self.assignments.remove(i);
+                        let ended = self.assignments.remove(i);
+                        let done = matches!(ended.ended, Some(Ended::Code(Some(0))));
+                        self.terms.host.leave(&ended.worker.scene, !done);
                         changed = true;
                     } else {
                         i += 1;

@@ -46,7 +46,7 @@ impl StopBatch {
     }
 
     /// Waits so long, but no longer than until more is asked for.
-    pub(super) fn wait(&self, time: Duration) {
+    pub(crate) fn wait(&self, time: Duration) {
         let level = self.0.0.lock().unwrap_or_else(PoisonError::into_inner);
         let before = *level;
         // A panic elsewhere leaves the level whole.

@@ -88,6 +88,29 @@ impl BatchManifest {
     /// # Errors
     /// Before anything was started: what is wrong with the file or with one of its scenes.
     pub fn read(file: &Path, folder: &Path, until: Option<Until>) -> Result<Self, ManifestError> {
+        let whole = machine::whole();
+        let usual = Needs { memory_bytes: whole.memory_bytes / 5 * 4, ..whole };
+        Self::read_within(file, folder, until, usual, true)
+    }
+
+    /// Reads a manifest for a farm, whose workers have budgets of their own. A scene without `cores` takes one, so that a worker
+    /// has as many scenes as cores, and one without `memory` as much as it makes use of.
+    ///
+    /// # Errors
+    /// As [`BatchManifest::read`].
+    pub fn read_for_farm(file: &Path, until: Option<Until>) -> Result<Self, ManifestError> {
+        let unlimited = Needs { cores: 1, memory_bytes: u64::MAX >> 1, accelerators: u32::MAX };
+        Self::read_within(file, Path::new("runs"), until, unlimited, false)
+    }
+
+    /// Reads a manifest; what it does not say of the budget is `usual`.
+    fn read_within(
+        file: &Path,
+        folder: &Path,
+        until: Option<Until>,
+        usual: Needs,
+        bounded: bool,
+    ) -> Result<Self, ManifestError> {
         let wrong = |reason: ManifestFileError| ManifestError::File { file: file.to_path_buf(), reason };
         let bytes =
             std::fs::read(file).map_err(|source| ManifestError::Read { file: file.to_path_buf(), source })?;
@@ -96,14 +119,13 @@ impl BatchManifest {
         if read.scene.is_empty() {
             return Err(wrong(ManifestFileError::NoScene));
         }
-        let machine = machine::whole();
         let budget = Needs {
-            cores: read.budget.cores.filter(|&n| n > 0).unwrap_or(machine.cores),
+            cores: read.budget.cores.filter(|&n| n > 0).unwrap_or(usual.cores),
             memory_bytes: match &read.budget.memory {
                 Some(size) => size.bytes().map_err(|e| wrong(e.into()))?,
-                None => machine.memory_bytes / 5 * 4,
+                None => usual.memory_bytes,
             },
-            accelerators: read.budget.accelerators.unwrap_or(0),
+            accelerators: read.budget.accelerators.unwrap_or(usual.accelerators),
         };
         let patience_s = read.budget.patience.unwrap_or(3600.0);
         if patience_s.is_nan() || patience_s <= 0.0 {
@@ -154,7 +176,7 @@ impl BatchManifest {
                 memory_bytes: memory(&scene, &effective, declared, cores, &budget).map_err(wrong)?,
                 accelerators: own.accelerators.or(d.accelerators).unwrap_or(0),
             };
-            if !needs.fit(&budget) {
+            if bounded && !needs.fit(&budget) {
                 return Err(wrong(SceneEntryError::OverBudget { needs, budget }));
             }
             let job = Job {

@@ -34,6 +34,7 @@ use self::clock::ServerClock;
 pub use self::record::FarmKey;
 use self::record::{Record, RecordError};
 use self::server::{Appended, REQUEST_TIMEOUT, RequestError, Server, persist};
+use crate::artefacts::{ArtefactError, JetStreamArtefacts};
 use crate::engine::{ChangeKind, EngineError, JobChange};
 use crate::log::TransitionLog;
 use crate::table::{Decision, JobTable};
@@ -143,6 +144,19 @@ impl NatsEngine {
     /// How many records were applied so far, over all machines and ever.
     pub fn records(&self) -> u64 {
         self.lock().tail
+    }
+
+    /// The store of artefacts that the farm's own servers keep: for small farms, which then need no other.
+    ///
+    /// # Errors
+    /// When the server does not make it.
+    pub fn artefacts(&self) -> Result<JetStreamArtefacts, ArtefactError> {
+        let bucket = format!("SEGWILD_{}_ARTEFACTS", self.address.name());
+        let handle = self.runtime.as_ref().map(|runtime| runtime.handle().clone());
+        let Some(handle) = handle else {
+            return Err(ArtefactError::Address { address: bucket, reason: "the client has ended".into() });
+        };
+        JetStreamArtefacts::open(self.server.context.clone(), &bucket, handle)
     }
 
     /// Lets all times to come move closer, as if so much time had passed: for tests of what takes hours.
@@ -262,7 +276,7 @@ impl NatsEngine {
                 "the snapshot at record {covers} has format {format}, this program knows format {SNAPSHOT_FORMAT}"
             )));
         }
-        (known.table, known.changes) = (snapshot.table, snapshot.changes);
+        (known.table, known.changes) = (snapshot.table.sorted(), snapshot.changes);
         (known.tail, known.tail_id) = (covers, snapshot.id);
         Ok(())
     }

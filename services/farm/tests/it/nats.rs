@@ -1,7 +1,10 @@
 //! The engine on JetStream goes through the conformance suite against a real server, and through what can happen to one.
 
+#[path = "../../../../tests/support/nats_server.rs"]
+mod nats_server;
+
+use nats_server::NatsServer;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
@@ -14,79 +17,12 @@ use segwild_farm::{
 
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// A server of its own with its store in a folder; ends with this value.
-struct NatsServer {
-    child: Child,
-    port: u16,
-    folder: PathBuf,
+fn engine_at(server: &NatsServer, name: &str) -> NatsEngine {
+    NatsEngine::connect(&farm(server, name), &FarmAccess::default(), "test", PATIENCE).unwrap()
 }
 
-impl NatsServer {
-    /// `None` where no server is installed.
-    fn start(folder: &Path) -> Option<NatsServer> {
-        Self::start_at(folder, None)
-    }
-
-    fn start_at(folder: &Path, port: Option<u16>) -> Option<NatsServer> {
-        let ports = folder.join("ports");
-        let _ = std::fs::remove_dir_all(&ports);
-        std::fs::create_dir_all(&ports).unwrap();
-        let spawned = Command::new("nats-server")
-            .args(["-a", "127.0.0.1", "-p", &port.map_or("-1".into(), |port| port.to_string()), "-js", "-sd"])
-            .arg(folder.join("store"))
-            .arg("--ports_file_dir")
-            .arg(&ports)
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn();
-        let child = match spawned {
-            Ok(child) => child,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                eprintln!("skipped: nats-server is not installed (apt-get install nats-server)");
-                return None;
-            }
-            Err(error) => panic!("{error}"),
-        };
-        let began = Instant::now();
-        loop {
-            let file = std::fs::read_dir(&ports).unwrap().next().map(|entry| entry.unwrap().path());
-            let text = file.and_then(|file| std::fs::read_to_string(file).ok()).unwrap_or_default();
-            let read: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
-            let url = read["nats"][0].as_str().map(str::to_owned);
-            if let Some(port) = url.and_then(|url| url.rsplit(':').next()?.parse().ok()) {
-                return Some(NatsServer { child, port, folder: folder.to_owned() });
-            }
-            assert!(began.elapsed() < Duration::from_secs(20), "the server does not start");
-            std::thread::sleep(Duration::from_millis(10));
-        }
-    }
-
-    fn farm(&self, name: &str) -> FarmAddress {
-        format!("nats://127.0.0.1:{}/{name}", self.port).parse().unwrap()
-    }
-
-    fn engine(&self, name: &str) -> NatsEngine {
-        NatsEngine::connect(&self.farm(name), &FarmAccess::default(), "test", PATIENCE).unwrap()
-    }
-
-    fn kill(&mut self) {
-        self.child.kill().unwrap();
-        self.child.wait().unwrap();
-    }
-
-    /// Starts it again on its port and its store.
-    fn restart(&mut self) {
-        let (folder, port) = (self.folder.clone(), self.port);
-        let mut started = NatsServer::start_at(&folder, Some(port)).unwrap();
-        std::mem::swap(&mut self.child, &mut started.child);
-    }
-}
-
-impl Drop for NatsServer {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
+fn farm(server: &NatsServer, name: &str) -> FarmAddress {
+    server.farm(name).parse().unwrap()
 }
 
 struct There {
@@ -95,11 +31,11 @@ struct There {
 }
 
 impl Site for There {
-    fn engine(&self) -> Box<dyn JobEngine> {
-        Box::new(self.server.engine(&self.name))
+    fn engine_at(&self) -> Box<dyn JobEngine> {
+        Box::new(engine_at(&self.server, &self.name))
     }
     fn pass(&self, seconds: f64) {
-        self.server.engine(&self.name).pass(seconds).unwrap();
+        engine_at(&self.server, &self.name).pass(seconds).unwrap();
     }
     // No wall clock of this machine plays a part; that of a server cannot be set here: `nats/clock.rs` tests it.
     fn jump(&self, _: f64) {}
@@ -131,7 +67,7 @@ fn offer(worker: &str, lease_s: f64) -> WorkerOffer {
 fn a_lease_ends_by_the_servers_clock() {
     let folder = tempfile::tempdir().unwrap();
     let Some(server) = NatsServer::start(folder.path()) else { return };
-    let (first, second) = (server.engine("f"), server.engine("f"));
+    let (first, second) = (engine_at(&server, "f"), engine_at(&server, "f"));
     first.publish(&job("a")).unwrap();
     let lease = first.claim(&offer("first", 1.0)).unwrap().expect("a lease");
     assert!(second.claim(&offer("second", 1.0)).unwrap().is_none());
@@ -154,12 +90,12 @@ fn a_server_that_is_killed_again_and_again_loses_and_doubles_nothing() {
     const JOBS: usize = 60;
     let folder = tempfile::tempdir().unwrap();
     let Some(mut server) = NatsServer::start(folder.path()) else { return };
-    let publisher = server.engine("f");
+    let publisher = engine_at(&server, "f");
     for i in 0..JOBS {
         publisher.publish(&job(&format!("job {i}"))).unwrap();
     }
     let done = AtomicU32::new(0);
-    let farm = server.farm("f");
+    let farm = farm(&server, "f");
     std::thread::scope(|scope| {
         for w in 0..3 {
             let (done, farm) = (&done, &farm);
@@ -189,22 +125,22 @@ fn a_server_that_is_killed_again_and_again_loses_and_doubles_nothing() {
 fn a_log_is_compacted_and_a_new_machine_reads_the_same_jobs() {
     let folder = tempfile::tempdir().unwrap();
     let Some(server) = NatsServer::start(folder.path()) else { return };
-    let engine = server.engine("f");
+    let engine = engine_at(&server, "f");
     for id in ["a", "b", "c"] {
         engine.publish(&job(id)).unwrap();
     }
     let done = engine.claim(&offer("w", 600.0)).unwrap().unwrap();
     engine.complete(&done, "done").unwrap();
     let held = engine.claim(&offer("w", 600.0)).unwrap().unwrap();
-    let watcher = server.engine("f");
+    let watcher = engine_at(&server, "f");
     while engine.records() < 2100 {
         engine.heartbeat(&held).unwrap();
     }
-    assert_eq!(server.engine("f").jobs().unwrap(), engine.jobs().unwrap(), "one that starts");
+    assert_eq!(engine_at(&server, "f").jobs().unwrap(), engine.jobs().unwrap(), "one that starts");
     assert_eq!(watcher.jobs().unwrap(), engine.jobs().unwrap(), "one that had stopped to read before");
-    assert_eq!(server.engine("f").watch(0, 100).unwrap(), engine.watch(0, 100).unwrap());
+    assert_eq!(engine_at(&server, "f").watch(0, 100).unwrap(), engine.watch(0, 100).unwrap());
     // The fence goes on.
-    let later = server.engine("f");
+    let later = engine_at(&server, "f");
     assert_eq!(later.complete(&held, "done").unwrap(), Completed::Now);
     assert!(matches!(engine.heartbeat(&held), Err(EngineError::Lost { .. })));
     let stored: u64 = walk(folder.path()).iter().map(|file| std::fs::metadata(file).unwrap().len()).sum();
@@ -232,7 +168,7 @@ fn copy(from: &Path, to: &Path) {
 fn a_server_that_lost_the_end_of_its_log_is_read_again() {
     let folder = tempfile::tempdir().unwrap();
     let Some(mut server) = NatsServer::start(folder.path()) else { return };
-    let (first, second) = (server.engine("f"), server.engine("f"));
+    let (first, second) = (engine_at(&server, "f"), engine_at(&server, "f"));
     for id in ["a", "b"] {
         first.publish(&job(id)).unwrap();
     }
@@ -248,7 +184,7 @@ fn a_server_that_lost_the_end_of_its_log_is_read_again() {
     copy(&folder.path().join("before"), &folder.path().join("store"));
     server.restart();
     // Another handle goes on from there, so that the log is as long as before and another one.
-    let third = server.engine("f");
+    let third = engine_at(&server, "f");
     let again = third.claim(&offer("third", 60.0)).unwrap().unwrap();
     assert_eq!(again.job.id, "a", "it was done, and that is lost: it is done again");
     third.claim(&offer("third", 60.0)).unwrap().expect("b");
@@ -263,14 +199,14 @@ fn who_does_not_have_the_key_changes_nothing() {
     let Some(server) = NatsServer::start(folder.path()) else { return };
     let with = |secret: &str| {
         let access = FarmAccess { key: Some(FarmKey::of(secret)), ..FarmAccess::default() };
-        NatsEngine::connect(&server.farm("f"), &access, "test", Duration::from_secs(3)).unwrap()
+        NatsEngine::connect(&farm(&server, "f"), &access, "test", Duration::from_secs(3)).unwrap()
     };
     let ours = with("secret");
     ours.publish(&job("a")).unwrap();
-    let foreign = server.engine("f");
+    let foreign = engine_at(&server, "f");
     foreign.publish(&job("b")).unwrap();
     let other = NatsEngine::connect(
-        &server.farm("f"),
+        &farm(&server, "f"),
         &FarmAccess { key: Some(FarmKey::of("another")), ..FarmAccess::default() },
         "test",
         Duration::from_secs(3),
@@ -297,7 +233,7 @@ fn a_farm_that_cannot_be_reached_or_was_altered_is_named_in_words() {
     let message = connect("nats://127.0.0.1:1/x");
     assert!(message.starts_with("nats://127.0.0.1:1/x: no answer for"), "{message}");
     let Some(server) = NatsServer::start(folder.path()) else { return };
-    let engine = server.engine("f");
+    let engine = engine_at(&server, "f");
     for id in ["a", "b", "c"] {
         engine.publish(&job(id)).unwrap();
     }
@@ -307,6 +243,6 @@ fn a_farm_that_cannot_be_reached_or_was_altered_is_named_in_words() {
         let stream = async_nats::jetstream::new(client).get_stream("SEGWILD_f").await.unwrap();
         stream.delete_message(3).await.unwrap();
     });
-    let message = connect(&server.farm("f").to_string());
+    let message = connect(&farm(&server, "f").to_string());
     assert!(message.contains("record 3 of the log is missing"), "{message}");
 }

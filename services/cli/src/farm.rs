@@ -1,0 +1,99 @@
+//! What commands need to reach a farm: its address, who connects, and where artefacts are.
+
+use crate::args::{self, path_of};
+use crate::failure::Failure;
+use clap::{Arg, ArgMatches, Command};
+use segwild_farm::{
+    ArtefactSession, ArtefactStore, FarmAccess, FarmAddress, FarmKey, NatsEngine, ObjectArtefacts,
+    USUAL_PATIENCE,
+};
+use segwild_monitor::MonitorTarget;
+use segwild_monitor::view::FarmTarget;
+use std::sync::Arc;
+
+/// Adds the flags of who reads or writes a farm's jobs.
+pub fn engine_args(command: Command, help: &'static str) -> Command {
+    command
+        .arg(
+            Arg::new("engine")
+                .long("engine")
+                .value_name("ADDR")
+                .value_parser(str::parse::<FarmAddress>)
+                .help(help),
+        )
+        .arg(args::path("credentials", "NATS credentials file").requires("engine"))
+        .arg(
+            args::path("certificates", "Certificates of who signed the farm's servers (tls://)")
+                .requires("engine"),
+        )
+        .arg(args::path("farm-key", "File with the key that all of the farm share").requires("engine"))
+}
+
+/// Adds the flags of who also moves photos and results.
+pub fn farm_args(command: Command, help: &'static str) -> Command {
+    engine_args(command, help).arg(
+        Arg::new("artefacts")
+            .long("artefacts")
+            .value_name("STORE")
+            .requires("engine")
+            .help("Shared folder or s3://BUCKET/PREFIX for photos and results [default: the farm's server]"),
+    )
+}
+
+/// A farm that was reached.
+pub struct Farm {
+    /// Its jobs.
+    pub engine: Arc<NatsEngine>,
+    /// Its artefacts.
+    pub artefacts: ArtefactSession,
+}
+
+/// Connects to the farm of the flags; `None` where there is none. `writer` is who appends to its log, for people.
+pub fn connect(matches: &ArgMatches, writer: &str) -> Result<Option<Arc<NatsEngine>>, Failure> {
+    let Some(address) = matches.get_one::<FarmAddress>("engine") else { return Ok(None) };
+    let key = path_of(matches, "farm-key").map(|file| {
+        let secret = std::fs::read_to_string(&file)
+            .map_err(|e| Failure::usage(format!("--farm-key: cannot read {}: {e}", file.display())))?;
+        match secret.trim().is_empty() {
+            true => Err(Failure::usage(format!("--farm-key: {} is empty", file.display()))),
+            false => Ok(FarmKey::of(&secret)),
+        }
+    });
+    let access = FarmAccess {
+        credentials: path_of(matches, "credentials"),
+        certificates: path_of(matches, "certificates"),
+        key: key.transpose()?,
+    };
+    Ok(Some(Arc::new(NatsEngine::connect(address, &access, writer, USUAL_PATIENCE)?)))
+}
+
+/// Reaches the farm of the flags and its artefacts; `None` where there is none.
+pub fn reach(matches: &ArgMatches, writer: &str) -> Result<Option<Farm>, Failure> {
+    let Some(engine) = connect(matches, writer)? else { return Ok(None) };
+    let store: Arc<dyn ArtefactStore> = match matches.get_one::<String>("artefacts") {
+        Some(store) => Arc::new(ObjectArtefacts::open(store)?),
+        None => Arc::new(engine.artefacts()?),
+    };
+    Ok(Some(Farm { engine, artefacts: ArtefactSession::new(store) }))
+}
+
+/// A farm as `status`, `top` and `/metrics` show it.
+pub fn shown(engine: &Arc<NatsEngine>) -> MonitorTarget {
+    MonitorTarget::Farm(FarmTarget { name: engine.address().to_string(), engine: engine.clone() })
+}
+
+/// What a command shows: the farm of `--engine`, or the folder of a run or a batch.
+pub fn target(matches: &ArgMatches) -> Result<MonitorTarget, Failure> {
+    match connect(matches, "status")? {
+        Some(engine) => Ok(shown(&engine)),
+        None => Ok(MonitorTarget::at(&path_of(matches, "run").expect("clap requires it or --engine"))?),
+    }
+}
+
+/// Adds what a command shows: a run folder, or `--engine`.
+pub fn target_args(command: Command) -> Command {
+    engine_args(
+        command.arg(args::run().required(false).required_unless_present("engine").conflicts_with("engine")),
+        "Show this farm: nats://HOST:PORT/NAME",
+    )
+}

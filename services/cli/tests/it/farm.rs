@@ -1,0 +1,150 @@
+//! Scenes of a batch go through the workers of a farm, whatever happens to them and to the server.
+
+#[path = "../../../../tests/support/nats_server.rs"]
+mod nats_server;
+
+use crate::common::*;
+use nats_server::NatsServer;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+/// A manifest of scenes that are all the shared run's.
+fn manifest(dir: &Path, scenes: &[&str]) -> PathBuf {
+    let settings: Vec<String> = QUICK
+        .chunks(2)
+        .map(|flag| {
+            let (name, value) = (flag[0].trim_start_matches("--").replace('-', "_"), flag[1]);
+            let number = value.parse::<u32>().is_ok();
+            if number { format!("{name} = {value}") } else { format!("{name} = \"{value}\"") }
+        })
+        .collect();
+    let mut text = format!("[defaults]\nsettings = {{ {} }}\n", settings.join(", "));
+    for name in scenes {
+        text += &format!("[[scene]]\npath = \"{}\"\nname = \"{name}\"\n", show(&shared_run().scene));
+    }
+    let file = dir.join("scenes.toml");
+    std::fs::write(&file, text).expect("a manifest");
+    file
+}
+
+/// A worker with a folder of its own and one core, with what it writes into a file.
+fn worker(dir: &Path, farm: &str, name: &str, more: &[&str]) -> Guarded {
+    let log = std::fs::File::options().create(true).append(true).open(dir.join(format!("{name}.log")));
+    let child = Command::new(env!("CARGO_BIN_EXE_segwild"))
+        .args(["worker", "--engine", farm, "--needs", "cores=1,memory=2", "--store-every", "1", "--work"])
+        .arg(dir.join(name))
+        .args(more)
+        .stdout(Stdio::null())
+        .stderr(log.expect("a log"))
+        .spawn()
+        .expect("the program starts");
+    Guarded(child)
+}
+
+fn batch(dir: &Path, farm: &str, manifest: &Path, more: &[&str]) -> Child {
+    let args = ["batch", &show(manifest), "--out", &show(&dir.join("night")), "--engine", farm];
+    start(&[&args[..], more].concat().iter().map(|s| (*s).to_owned()).collect::<Vec<_>>())
+}
+
+fn log(dir: &Path, name: &str) -> String {
+    std::fs::read_to_string(dir.join(format!("{name}.log"))).unwrap_or_default()
+}
+
+#[test]
+fn scenes_whose_workers_and_server_are_killed_end_in_the_bytes_of_one_machine() {
+    let dir = folder();
+    let path = dir.path();
+    let Some(mut server) = NatsServer::start(path) else { return };
+    let (farm, scenes) = (server.farm("f"), ["a", "b", "c"]);
+    let watching = batch(path, &farm, &manifest(path, &scenes), &[]);
+    let mut first = worker(path, &farm, "first", &[]);
+    // As soon as a state is stored, its worker dies, and another one takes the scene over.
+    until("a stored state", || log(path, "first").contains("is stored").then_some(()));
+    first.0.kill().expect("it was running");
+    first.0.wait().expect("it has ended");
+    let _second = worker(path, &farm, "second", &[]);
+    until("a scene on the second worker", || log(path, "second").contains("begins").then_some(()));
+    server.kill();
+    rest(Duration::from_millis(500));
+    server.restart();
+    // The first one comes back under its name, and what it held is free at once.
+    let _again = worker(path, &farm, "first", &[]);
+    let ended = watching.wait_with_output().expect("it ends");
+    let (out, error) = (text(&ended.stdout), text(&ended.stderr));
+    let logs = || format!("{error}\n-- first\n{}\n-- second\n{}", log(path, "first"), log(path, "second"));
+    assert_eq!(ended.status.code(), Some(0), "{}", logs());
+    assert!(out.contains("3 done"), "{out}");
+    for scene in scenes {
+        same_as_untouched(&path.join("night").join(scene));
+    }
+    let all = log(path, "first") + &log(path, "second");
+    assert!(all.contains("to continue what another attempt stored"), "{}", logs());
+    // The same command again finds everything done, and nothing is worked.
+    let again =
+        batch(path, &farm, &path.join("scenes.toml"), &["--json"]).wait_with_output().expect("it ends");
+    let last = lines(&text(&again.stdout)).pop().expect("a summary");
+    assert_eq!((again.status.code(), &last["summary"]["interrupted"]), (Some(0), &serde_json::json!(false)));
+}
+
+#[test]
+fn a_worker_that_is_stopped_stores_its_scene_and_hands_it_back() {
+    let dir = folder();
+    let path = dir.path();
+    let Some(server) = NatsServer::start(path) else { return };
+    let farm = server.farm("f");
+    let shared = show(&path.join("shared"));
+    let store = ["--artefacts", &*shared];
+    let handed = batch(path, &farm, &manifest(path, &["a"]), &[&store[..], &["--no-wait"]].concat());
+    let handed = handed.wait_with_output().expect("it ends");
+    assert_eq!(handed.status.code(), Some(0), "{}", text(&handed.stderr));
+    let mut first = worker(path, &farm, "first", &store);
+    until("its beginning", || log(path, "first").contains("begins").then_some(()));
+    rest(Duration::from_millis(300));
+    signal(&first.0, "-TERM");
+    assert!(first.0.wait().expect("it ends").success(), "{}", log(path, "first"));
+    assert!(log(path, "first").contains("other workers continue"), "{}", log(path, "first"));
+    // One that drains ends when nothing is left.
+    let mut second = worker(path, &farm, "second", &[&store[..], &["--drain"]].concat());
+    assert!(second.0.wait().expect("it ends").success(), "{}", log(path, "second"));
+    let watched = batch(path, &farm, &path.join("scenes.toml"), &store).wait_with_output().expect("it ends");
+    assert_eq!(watched.status.code(), Some(0), "{}", text(&watched.stderr));
+    same_as_untouched(&path.join("night/a"));
+    // What is done needs no room on the worker.
+    assert!(
+        !path.join("second/runs/night/a").exists()
+            && !path.join("second/inputs").read_dir().is_ok_and(|mut d| d.next().is_some())
+    );
+}
+
+#[test]
+fn what_is_wrong_with_a_farm_is_named_in_words() {
+    let dir = folder();
+    let path = dir.path();
+    let file = show(&manifest(path, &["a"]));
+    refuses(&["worker"], 2, &["--engine"]);
+    refuses(&["worker", "--engine", "http://x/y"], 2, &["no farm", "nats://HOST:PORT/NAME"]);
+    refuses(&["worker", "--engine", "nats://me:pw@x/y"], 2, &["credentials file"]);
+    refuses(&["worker", "--engine", "nats://x/y", "--needs", "disk=3"], 2, &["`disk=3`", "cores=N"]);
+    refuses(&["batch", &file, "--artefacts", "/tmp/x"], 2, &["--engine"]);
+    let Some(server) = NatsServer::start(path) else { return };
+    let farm = server.farm("f");
+    let (out, missing) = (show(&path.join("o")), show(&path.join("none")));
+    refuses(
+        &["batch", &file, "--engine", &farm, "--out", &out, "--farm-key", &missing],
+        2,
+        &["--farm-key", "none"],
+    );
+    refuses(&["batch", &file, "--engine", &farm, "--out", &out, "--artefacts", "ftp://x"], 2, &["ftp://x"]);
+    std::fs::write(
+        path.join("code.toml"),
+        "[[scene]]\npath = \".\"\nname = \"a\"\nsettings = { models = \"/m\" }\n",
+    )
+    .expect("a manifest");
+    let code = show(&path.join("code.toml"));
+    refuses(
+        &["batch", &code, "--engine", &farm, "--out", &out],
+        2,
+        &["`models`", "where the workers are started"],
+    );
+}

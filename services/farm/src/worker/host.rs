@@ -1,0 +1,129 @@
+//! A worker's folder: scenes come from the farm's artefacts, and their state goes there.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use segwild_flow::files;
+
+use super::scene::FarmScene;
+use crate::artefacts::{ArtefactDigest, ArtefactError, ArtefactSession};
+use crate::crew::{HostFailure, SceneHost};
+use crate::engine::{ErrorClass, JobLease};
+use crate::job::Job;
+use crate::manifest::SceneJob;
+
+/// ```text
+/// WORK/inputs/DIGEST/          photos and cameras
+/// WORK/runs/BATCH/SCENE/       run folders
+/// WORK/stored/BATCH/SCENE      the artefact that a run folder was last stored as, or fetched from
+/// ```
+pub(super) struct FarmHost {
+    folder: PathBuf,
+    artefacts: ArtefactSession,
+    /// How many scenes use an input now.
+    used: Mutex<BTreeMap<PathBuf, usize>>,
+}
+
+impl FarmHost {
+    pub fn new(folder: &Path, artefacts: ArtefactSession) -> Self {
+        Self { folder: folder.to_owned(), artefacts, used: Mutex::default() }
+    }
+
+    /// The artefact that a run folder continues.
+    fn stored_file(&self, scene: &SceneJob) -> PathBuf {
+        self.folder.join("stored").join(&scene.name)
+    }
+
+    fn note_stored(&self, scene: &SceneJob, artefact: &str) -> Result<(), HostFailure> {
+        let file = self.stored_file(scene);
+        file.parent().map_or(Ok(()), std::fs::create_dir_all).map_err(|e| at(&file, &e))?;
+        files::write_atomic(&file, artefact.as_bytes()).map_err(HostFailure::passing)
+    }
+}
+
+fn at(path: &Path, error: &std::io::Error) -> HostFailure {
+    HostFailure::passing(format!("{}: {error}", path.display()))
+}
+
+fn failure(error: ArtefactError) -> HostFailure {
+    let class = match &error {
+        ArtefactError::Manifest { .. } | ArtefactError::Unfit { .. } => ErrorClass::Fatal,
+        _ => ErrorClass::Retryable,
+    };
+    HostFailure { class, words: error.to_string() }
+}
+
+fn removed(folder: &Path) -> Result<(), HostFailure> {
+    match std::fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(at(folder, &error)),
+        _ => Ok(()),
+    }
+}
+
+impl SceneHost for FarmHost {
+    fn scene(&self, job: &Job) -> Result<SceneJob, HostFailure> {
+        let refused =
+            |error: super::FarmSceneError| HostFailure { class: ErrorClass::Fatal, words: error.to_string() };
+        let scene = FarmScene::of_job(job).map_err(refused)?;
+        Ok(SceneJob {
+            name: job.id.clone(),
+            path: self.folder.join("inputs").join(scene.photos.to_string()),
+            out: self.folder.join("runs").join(&job.id),
+            settings: scene.settings,
+            until: scene.until,
+        })
+    }
+
+    fn is_remote(&self) -> bool {
+        true
+    }
+
+    fn fetch(&self, lease: &JobLease, scene: &SceneJob) -> Result<(), HostFailure> {
+        *self.used.lock().unwrap_or_else(PoisonError::into_inner).entry(scene.path.clone()).or_default() += 1;
+        let photos = FarmScene::of_job(&lease.job).map_err(HostFailure::passing)?.photos;
+        self.artefacts.fetch_folder(&photos, &scene.path).map_err(failure)?;
+        let Some(checkpoint) = &lease.checkpoint else { return Ok(()) };
+        let artefact: ArtefactDigest =
+            checkpoint.parse().map_err(|e| HostFailure::passing(format!("its checkpoint: {e}")))?;
+        let continues =
+            std::fs::read_to_string(self.stored_file(scene)).is_ok_and(|have| have == *checkpoint);
+        if continues && scene.out.is_dir() {
+            // What this worker did after it stored that.
+            return Ok(());
+        }
+        removed(&scene.out)?;
+        self.artefacts.fetch_run(&artefact, &scene.out).map_err(failure)?;
+        self.note_stored(scene, checkpoint)
+    }
+
+    fn store(&self, scene: &SceneJob) -> Result<Option<String>, HostFailure> {
+        if !scene.out.join("run.sqlite").is_file() {
+            return Ok(None);
+        }
+        let artefact = self.artefacts.store_run(&scene.out).map_err(failure)?.to_string();
+        self.note_stored(scene, &artefact)?;
+        Ok(Some(artefact))
+    }
+
+    fn leave(&self, scene: &SceneJob, may_return: bool) {
+        let mut used = self.used.lock().unwrap_or_else(PoisonError::into_inner);
+        let left = used.get(&scene.path).copied().unwrap_or_default().saturating_sub(1);
+        match left {
+            0 => drop(used.remove(&scene.path)),
+            _ => drop(used.insert(scene.path.clone(), left)),
+        }
+        if may_return {
+            return;
+        }
+        let mut unwanted = vec![scene.out.clone()];
+        unwanted.extend((left == 0).then(|| scene.path.clone()));
+        for folder in unwanted {
+            if let Err(failure) = removed(&folder) {
+                tracing::warn!(%failure, "what a scene left cannot be removed");
+            }
+        }
+        // It may not be there.
+        let _ = std::fs::remove_file(self.stored_file(scene));
+    }
+}

@@ -1,0 +1,123 @@
+//! A scene of a farm: the payload of its job.
+
+use std::collections::BTreeMap;
+
+use segwild_flow::files::name;
+use segwild_pipeline::{Settings, Until};
+use segwild_vision::VisionSettings;
+use serde::{Deserialize, Serialize};
+
+use crate::artefacts::ArtefactDigest;
+use crate::job::Job;
+use crate::manifest::SceneJob;
+
+/// What a worker is to do: nothing but `segwild run` on photos that it fetches, with these settings. A job names no program,
+/// no path, and no setting that names code ([`VisionSettings::CODE`]).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FarmScene {
+    /// The folder of photos and cameras.
+    pub photos: ArtefactDigest,
+    /// The settings that were given, by name; the others have their preset's defaults.
+    pub settings: BTreeMap<String, String>,
+    /// Where it stops, as `--until` takes it; absent: at the end.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub until: Option<String>,
+}
+
+/// Why a job is no scene that a worker runs.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum FarmSceneError {
+    /// Its name is not one of a scene in a batch.
+    #[error("`{0}` is not the name of a scene of a farm: BATCH/SCENE, each usable as a file's name")]
+    Name(String),
+    /// Its payload cannot be read.
+    #[error("its job cannot be read: {0}")]
+    Payload(String),
+    /// It has a setting that names code.
+    #[error(
+        "a farm's scene cannot set `{0}`, which names code or a service: set it where the workers are started"
+    )]
+    Code(String),
+    /// A setting makes no sense.
+    #[error("{0}")]
+    Settings(String),
+}
+
+impl FarmScene {
+    /// The scene of a manifest, with its photos stored.
+    ///
+    /// # Errors
+    /// When its settings are not for a farm.
+    pub fn of(scene: &SceneJob, photos: ArtefactDigest) -> Result<Self, FarmSceneError> {
+        let made = Self { photos, settings: scene.settings.clone(), until: scene.until.clone() };
+        made.check()?;
+        Ok(made)
+    }
+
+    /// The scene of a job.
+    ///
+    /// # Errors
+    /// When a worker must not run it.
+    pub fn of_job(job: &Job) -> Result<Self, FarmSceneError> {
+        parts(&job.id)?;
+        let read: Self =
+            serde_json::from_str(&job.payload).map_err(|e| FarmSceneError::Payload(e.to_string()))?;
+        read.check()?;
+        Ok(read)
+    }
+
+    fn check(&self) -> Result<(), FarmSceneError> {
+        if let Some(name) = self.settings.keys().find(|name| VisionSettings::CODE.contains(&name.as_str())) {
+            return Err(FarmSceneError::Code(name.clone()));
+        }
+        let wrong = |error: &dyn std::fmt::Display| FarmSceneError::Settings(error.to_string());
+        let pairs: Vec<(String, String)> = self.settings.clone().into_iter().collect();
+        Settings::layered(None, &pairs).map_err(|e| wrong(&e))?;
+        if let Some(until) = &self.until {
+            until.parse::<Until>().map_err(|e| wrong(&e))?;
+        }
+        Ok(())
+    }
+}
+
+/// The batch and the scene that a job's name has.
+pub(crate) fn parts(id: &str) -> Result<(&str, &str), FarmSceneError> {
+    let usable = |part: &str| name::usable(part).is_ok();
+    id.split_once('/')
+        .filter(|(batch, scene)| usable(batch) && usable(scene))
+        .ok_or_else(|| FarmSceneError::Name(id.to_owned()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::job::Needs;
+
+    fn read(id: &str, payload: &str) -> Result<FarmScene, FarmSceneError> {
+        FarmScene::of_job(&Job::new(id, payload, Needs::default()))
+    }
+
+    #[test]
+    fn a_job_that_names_code_or_a_path_is_refused() {
+        let photos = "ab".repeat(32);
+        let payload = |settings: &str| format!("{{\"photos\": \"{photos}\", \"settings\": {settings}}}");
+        assert!(read("night/liberty", &payload("{\"steps\": \"300\"}")).is_ok());
+        for (id, settings, expected) in [
+            ("../liberty", "{}", "not the name of a scene"),
+            ("night", "{}", "not the name of a scene"),
+            ("night/a/b", "{}", "not the name of a scene"),
+            ("night/a", "{\"onnxruntime\": \"/tmp/evil.so\"}", "`onnxruntime`"),
+            ("night/a", "{\"vision_service\": \"grpc://evil\"}", "`vision_service`"),
+            ("night/a", "{\"stpes\": \"3\"}", "no setting named `stpes`"),
+        ] {
+            let message = read(id, &payload(settings)).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
+        }
+        let outside = "{\"photos\": \"../../etc\", \"settings\": {}}";
+        assert!(matches!(read("night/a", outside), Err(FarmSceneError::Payload(_))));
+        for until in ["geometri", "0"] {
+            let payload = format!("{{\"photos\": \"{photos}\", \"settings\": {{}}, \"until\": \"{until}\"}}");
+            assert!(read("night/a", &payload).is_err());
+        }
+    }
+}
