@@ -34,20 +34,44 @@ pub enum ServeError {
     Start(std::io::Error),
 }
 
+/// What a server shows.
+#[derive(Clone, Debug)]
+pub enum MonitorSource {
+    /// A folder, which may not be there yet.
+    Folder(PathBuf),
+    /// What is known already.
+    Target(MonitorTarget),
+}
+
+impl From<PathBuf> for MonitorSource {
+    fn from(folder: PathBuf) -> Self {
+        Self::Folder(folder)
+    }
+}
+
+impl From<MonitorTarget> for MonitorSource {
+    fn from(target: MonitorTarget) -> Self {
+        Self::Target(target)
+    }
+}
+
 /// How a server answers.
 struct Served {
-    folder: PathBuf,
+    source: MonitorSource,
     per_scene: bool,
     /// The runs as the requests before read them.
     runs: Mutex<Runs>,
 }
 
 impl Served {
-    /// Looked for at every request: the folder may not be there yet.
+    /// A folder is searched at every request.
     fn view(&self) -> Result<MonitorView, ViewError> {
         // A panic elsewhere leaves views that are whole.
         let mut runs = self.runs.lock().unwrap_or_else(PoisonError::into_inner);
-        MonitorTarget::at(&self.folder)?.read(&mut runs)
+        match &self.source {
+            MonitorSource::Folder(folder) => MonitorTarget::at(folder)?.read(&mut runs),
+            MonitorSource::Target(target) => target.read(&mut runs),
+        }
     }
 }
 
@@ -75,19 +99,24 @@ impl Drop for Server {
     }
 }
 
-/// Serves the view of a run's or a batch's folder on a thread of its own. With `per_scene`, the metrics of a batch
+/// Serves the view of a run, a batch or a farm on a thread of its own. With `per_scene`, the metrics of a batch
 /// carry the scene's name: one time series per scene, which many scenes make many of.
 ///
 /// # Errors
 /// When the address cannot be listened on.
-pub fn serve(address: SocketAddr, folder: PathBuf, per_scene: bool) -> Result<Server, ServeError> {
+pub fn serve(
+    address: SocketAddr,
+    source: impl Into<MonitorSource>,
+    per_scene: bool,
+) -> Result<Server, ServeError> {
+    let source = source.into();
     let routes = Router::new()
         .route("/", get(index))
         .route("/livez", get(async || "ok\n"))
         .route("/metrics", get(metrics_text))
         .route("/readyz", get(readiness))
         .route("/api/v1/status", get(status))
-        .with_state(Arc::new(Served { folder, per_scene, runs: Mutex::default() }));
+        .with_state(Arc::new(Served { source, per_scene, runs: Mutex::default() }));
     // Reading a ledger is short, and few requests come at once.
     start(address, ConnectionLimits::ONE_REQUEST, 2, |_| routes)
 }

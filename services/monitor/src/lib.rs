@@ -29,6 +29,6 @@ pub mod view;
 mod why;
 pub mod words;
 
-pub use http::{ServeError, Server, serve, start};
+pub use http::{MonitorSource, ServeError, Server, serve, start};
 pub use ready::{ReadyCheck, ready};
 pub use view::{MonitorTarget, MonitorView, ViewError};

@@ -3,5 +3,5 @@
 mod batch;
 mod run;
 
-pub(crate) use batch::scenes;
+pub(crate) use batch::{farm_scenes, scenes};
 pub(crate) use run::{actors, stages};

@@ -1,13 +1,13 @@
 //! `segwild status`
 
-use crate::args::path_of;
 use crate::failure::Failure;
+use crate::farm::{target, target_args};
 use crate::output::{print_json, print_line};
 use crate::progress::duration;
 use clap::{Arg, ArgAction, ArgMatches, Command};
+use segwild_monitor::MonitorView;
 use segwild_monitor::view::{BatchView, RunView, Runs, SceneState, StageView};
 use segwild_monitor::words::bytes;
-use segwild_monitor::{MonitorTarget, MonitorView};
 use std::sync::mpsc;
 use std::time::Duration;
 
@@ -19,21 +19,20 @@ pub fn command() -> Command {
     let flag = |name: &'static str, help: &'static str| {
         Arg::new(name).long(name).action(ArgAction::SetTrue).help(help)
     };
-    Command::new("status")
-        .about("Say what a run or a batch has done and is doing")
+    target_args(Command::new("status"))
+        .about("Say what a run, a batch or a farm has done and is doing")
         .after_help(crate::args::examples(
             "segwild status runs/trevi",
             "segwild status runs/night --follow --json",
         ))
-        .arg(crate::args::run())
         .arg(flag("once", "One sample, then exit; so it is without --follow as well"))
         .arg(flag("follow", "A sample a second, as long as a process works on it").conflicts_with("once"))
         .arg(crate::args::json())
 }
 
-/// Says what a run or a batch has done and is doing, also while another process runs it.
+/// Says what a run, a batch or a farm has done and is doing, also while another process runs it.
 pub fn status(matches: &ArgMatches) -> Result<(), Failure> {
-    let target = MonitorTarget::at(&path_of(matches, "run").expect("clap requires it"))?;
+    let target = target(matches)?;
     // A channel that nobody sends to: waiting on it is waiting for the next sample.
     let (_never, next) = mpsc::channel::<()>();
     let mut runs = Runs::default();

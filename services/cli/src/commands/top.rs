@@ -1,10 +1,10 @@
 //! `segwild top`
 
-use crate::args::path_of;
 use crate::failure::Failure;
+use crate::farm::{target, target_args};
 use crate::output::print_line;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
-use segwild_monitor::{MonitorTarget, top as screen};
+use segwild_monitor::top as screen;
 use std::io::IsTerminal;
 
 /// The command's arguments.
@@ -17,13 +17,12 @@ pub fn command() -> Command {
             .value_parser(value_parser!(u16).range(20..=1000))
             .help(help)
     };
-    Command::new("top")
-        .about("Watch a run or a batch: what it does, how fast, and why things wait (q to leave)")
+    target_args(Command::new("top"))
+        .about("Watch a run, a batch or a farm: what it does, how fast, and why things wait (q to leave)")
         .after_help(crate::args::examples(
             "segwild top runs/trevi",
             "segwild top runs/night --once --columns 120",
         ))
-        .arg(crate::args::run())
         .arg(Arg::new("once").long("once").action(ArgAction::SetTrue).help("Print one page as text and exit"))
         .arg(size("columns", "80", "Width of the page of --once"))
         .arg(size("rows", "24", "Height of the page of --once"))
@@ -31,7 +30,7 @@ pub fn command() -> Command {
 
 /// Watches a run or a batch.
 pub fn top(matches: &ArgMatches) -> Result<(), Failure> {
-    let target = MonitorTarget::at(&path_of(matches, "run").expect("clap requires it"))?;
+    let target = target(matches)?;
     let number = |name: &str| *matches.get_one::<u16>(name).expect("it has a default");
     if matches.get_flag("once") {
         return print_line(&screen::frame(&target.view()?, number("columns"), number("rows")));

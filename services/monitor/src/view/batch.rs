@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::folder::{ViewError, name_of};
 use super::scene::{SceneState, SceneView};
-use super::{Disk, Runs};
+use super::{Disk, FarmTarget, Runs};
 use crate::why;
 
 /// A batch, as it is or as it was left.
@@ -84,6 +84,39 @@ impl BatchView {
         })
     }
 
+    /// A farm as it is at a time. Its scenes run elsewhere: how far each run is, its worker shows.
+    ///
+    /// # Errors
+    /// When the farm cannot be read.
+    pub fn of_farm(farm: &FarmTarget, now: f64) -> Result<BatchView, ViewError> {
+        let (jobs, waits) = (farm.engine.jobs()?, farm.engine.waits()?);
+        let mut scenes: Vec<SceneView> = jobs
+            .iter()
+            .map(|job| SceneView { run: None, ..scene(job, &mut Runs::default(), &waits, true, now) })
+            .collect();
+        let mut used = Needs::default();
+        for (scene, job) in scenes.iter_mut().zip(&jobs).filter(|(_, job)| job.state == JobState::Leased) {
+            used.cores += scene.needs.cores;
+            used.memory_bytes += scene.needs.memory_bytes;
+            used.accelerators += scene.needs.accelerators;
+            scene.worker.clone_from(&job.worker);
+        }
+        why::farm_scenes(&mut scenes, &waits);
+        Ok(BatchView {
+            name: farm.name.clone(),
+            folder: PathBuf::new(),
+            time: now,
+            owner: Some("its workers".into()),
+            began: None,
+            budget: used,
+            used,
+            scenes,
+            leases_expired: farm.engine.count(ChangeKind::Expired)?,
+            retries: farm.engine.count(ChangeKind::Retried)?,
+            disk: None,
+        })
+    }
+
     /// How many scenes are in a state.
     pub fn count(&self, state: SceneState) -> usize {
         self.scenes.iter().filter(|s| s.state == state).count()
@@ -123,6 +156,7 @@ fn scene(
             .filter(|&s| s > 0.0 && state == SceneState::Waiting),
         started: status.started,
         wall_s: status.started.zip(end).map(|(a, b)| (b - a).max(0.0)),
+        worker: None,
         why: None,
         until,
         out,

@@ -9,10 +9,12 @@ mod runs;
 mod scene;
 mod stage;
 
+use std::fmt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use segwild_farm::BatchFolder;
+use segwild_farm::{BatchFolder, JobEngine};
 use serde::{Deserialize, Serialize};
 
 pub use crate::disk::Disk;
@@ -30,6 +32,23 @@ pub enum MonitorTarget {
     Run(PathBuf),
     /// A batch's folder.
     Batch(BatchFolder),
+    /// A farm: all its scenes, whoever works on them.
+    Farm(FarmTarget),
+}
+
+/// A farm that is shown.
+#[derive(Clone)]
+pub struct FarmTarget {
+    /// Its address, for people.
+    pub name: String,
+    /// Its jobs.
+    pub engine: Arc<dyn JobEngine>,
+}
+
+impl fmt::Debug for FarmTarget {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "FarmTarget({})", self.name)
+    }
 }
 
 impl MonitorTarget {
@@ -60,15 +79,8 @@ impl MonitorTarget {
         Ok(match self {
             MonitorTarget::Run(path) => MonitorView::Run(Box::new(runs.view(path, now())?)),
             MonitorTarget::Batch(folder) => MonitorView::Batch(BatchView::read(folder, runs, now())?),
+            MonitorTarget::Farm(farm) => MonitorView::Batch(BatchView::of_farm(farm, now())?),
         })
-    }
-
-    /// The folder.
-    pub fn path(&self) -> &Path {
-        match self {
-            MonitorTarget::Run(path) => path,
-            MonitorTarget::Batch(folder) => folder.path(),
-        }
     }
 }
 

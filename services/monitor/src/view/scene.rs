@@ -62,6 +62,9 @@ pub struct SceneView {
     pub started: Option<f64>,
     /// How long the last attempt has taken, in seconds.
     pub wall_s: Option<f64>,
+    /// The machine of a farm that works on it, if one does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub worker: Option<String>,
     /// Why it waits, if it does.
     pub why: Option<String>,
     /// Where it stops, if not at the end: a stage, or a step of the training.

@@ -34,6 +34,30 @@ pub(crate) fn scenes(
     }
 }
 
+/// Scenes of a farm wait for a worker that has what they need, for the end of a rest, or for what keeps a process from starting.
+pub(crate) fn farm_scenes(all: &mut [SceneView], waits: &BTreeMap<String, String>) {
+    for scene in all.iter_mut() {
+        scene.why = match scene.state {
+            SceneState::Done => None,
+            SceneState::Dead => scene.error.as_ref().map(|e| format!("given up: {e}")),
+            SceneState::Running => scene.worker.as_ref().map(|worker| format!("on {worker}")),
+            SceneState::Waiting if waits.contains_key(&scene.name) => waits.get(&scene.name).cloned(),
+            SceneState::Waiting => Some(match (scene.rests_s, &scene.error) {
+                (Some(s), Some(error)) => format!("tries again in {} after: {error}", duration(s)),
+                (Some(s), None) => format!("starts in {}", duration(s)),
+                (None, _) => {
+                    let memory = bytes(scene.needs.memory_bytes);
+                    let mut needs = format!("{} and {memory} of memory", count(scene.needs.cores, "core"));
+                    if scene.needs.accelerators > 0 {
+                        needs += &format!(" and {}", count(scene.needs.accelerators, "accelerator"));
+                    }
+                    format!("waits for a worker with {needs}")
+                }
+            }),
+        };
+    }
+}
+
 /// What a scene still needs, and whom that is kept for.
 fn missing_capacity(needs: &Needs, turn: &JobTurn<'_>) -> String {
     let free = &turn.free;
