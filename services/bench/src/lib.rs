@@ -17,6 +17,7 @@
 pub mod chart;
 mod counted;
 pub mod engine;
+pub mod farm;
 pub mod flow;
 pub mod harm;
 pub mod page;

@@ -6,6 +6,7 @@ mod clicks;
 mod command_line;
 mod compare;
 mod engine;
+mod farm;
 mod flow;
 mod folder;
 mod lego;
@@ -43,6 +44,7 @@ pub fn command() -> Command {
         .subcommand(compare::command())
         .subcommand(tables::command())
         .subcommand(flow::command())
+        .subcommand(farm::command())
         .subcommand(engine::command())
         .subcommand(scale::command())
         .subcommand(reconstruction::command())
@@ -55,6 +57,7 @@ pub fn command() -> Command {
 /// Measures what was asked for.
 pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
     match matches.subcommand() {
+        Some(("farm", m)) => farm::farm(m),
         Some(("chart", m)) => chart::chart(m),
         Some(("clicks", m)) => clicks::clicks(m),
         Some(("compare", m)) => compare::compare(m),

@@ -1,0 +1,141 @@
+//! A farm of many machines: what its log costs on a real server, and how 10,000 scenes go through 200 simulated machines:
+//! `segwild bench farm`.
+
+mod server;
+mod simulation;
+
+pub use self::server::LogFigures;
+pub use self::simulation::{SimulatedFarm, SimulatedFigures};
+
+use segwild_eval::record::Provenance;
+use segwild_eval::stamp;
+use segwild_farm::{EngineError, FarmAddressError};
+use std::path::PathBuf;
+
+/// How to measure.
+#[derive(Clone, Debug)]
+pub struct FarmBenchOptions {
+    /// The server keeps its log here; what is there is removed.
+    pub dir: PathBuf,
+    /// The server program.
+    pub server: PathBuf,
+    /// Jobs of the log that is measured.
+    pub jobs: usize,
+    /// Simulated scenes.
+    pub scenes: usize,
+    /// Simulated machines.
+    pub workers: usize,
+    /// Seeds of the simulations: a farm each.
+    pub seeds: Vec<u64>,
+}
+
+/// What was measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FarmFigures {
+    /// The log; `None` without a server program.
+    pub log: Option<LogFigures>,
+    /// The simulated farms.
+    pub simulated: Vec<SimulatedFigures>,
+}
+
+/// Why a farm cannot be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum FarmBenchError {
+    /// The log could not serve.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
+    /// The server's address makes no sense.
+    #[error(transparent)]
+    Address(#[from] FarmAddressError),
+    /// The server does not start.
+    #[error("{0} does not start")]
+    Server(PathBuf),
+    /// A file of the benchmark.
+    #[error("{path}: {source}")]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// A thread of the benchmark panicked.
+    #[error("a machine of the benchmark panicked")]
+    Panicked,
+}
+
+/// Measures; `report` receives each simulated farm as soon as it is known.
+///
+/// # Errors
+/// When the server refuses, or the machine.
+pub fn farm(
+    options: &FarmBenchOptions,
+    mut report: impl FnMut(&SimulatedFigures),
+) -> Result<FarmFigures, FarmBenchError> {
+    let log = server::log(&options.server, &options.dir, options.jobs)?;
+    let mut simulated = Vec::new();
+    for &seed in &options.seeds {
+        let figures = SimulatedFarm { scenes: options.scenes, workers: options.workers, seed }.run();
+        report(&figures);
+        simulated.push(figures);
+    }
+    Ok(FarmFigures { log, simulated })
+}
+
+/// The figures as a page.
+pub fn page(figures: &FarmFigures, options: &FarmBenchOptions, made: &Provenance) -> String {
+    let stamp = stamp::stamp(made, &["none: nothing is segmented"]);
+    let mut text = format!(
+        "# A farm, measured\n\nThis page is generated. {stamp}\n\n## The log on a real server\n\nA job is handed in, claimed and \
+         completed: three changes. The server, the machines and this benchmark share the cores of one machine.\n\n"
+    );
+    match &figures.log {
+        None => text += "Not measured: there is no nats-server here.\n",
+        Some(log) => {
+            text += &format!(
+                "| what | measured |\n|---|---|\n| server | {} |\n| changes a second, one machine | {:.0} |\n| changes a second, \
+                 four machines at once | {:.0} |\n| a machine joins and has read {:.0} records after | {:.0} ms |\n| on the \
+                 server's disk after {:.0} records of {} jobs | {:.2} MiB |\n",
+                log.server,
+                log.alone,
+                log.four,
+                log.joining[1],
+                log.joining[0],
+                log.disk[1],
+                log.jobs,
+                log.disk[0] / f64::from(1 << 20)
+            );
+        }
+    }
+    text += &format!(
+        "\n## {} scenes on {} simulated machines\n\nThe engine's own state machine decides; only the work is simulated. Machines \
+         have 4, 8 or 16 cores, scenes take 1, 2 or 4 of them for half a core hour in the median (log-normal). 1 % of the scenes \
+         have unusable photos, 3 % fail once, 0.2 % take their machine down whenever they are tried. Each machine falls silent \
+         every 12 hours on average, for 5 minutes. The server is out of reach for 10 minutes. After half an hour come 20 urgent \
+         scenes that need a machine of 16 cores for themselves.\n\n\
+         | seed | done | dead (of hopeless) | lost | done twice | hours | over the ideal | worked again | longest wait of an \
+         urgent scene | tail over the longest scene | silent machines | records | records a second |\n\
+         |---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n",
+        options.scenes, options.workers
+    );
+    for s in &figures.simulated {
+        text += &format!(
+            "| {} | {} | {} ({}) | {} | {} | {:.2} | {:.3} | {:.1} % | {:.0} min | {:.2} | {} | {:.0} | {:.1} |\n",
+            s.seed,
+            s.done,
+            s.dead[0],
+            s.dead[1],
+            s.lost,
+            s.doubled,
+            s.hours,
+            s.over_ideal,
+            100.0 * s.redone,
+            s.urgent_wait_min,
+            s.tail,
+            s.deaths,
+            s.records[0],
+            s.records[1]
+        );
+    }
+    text += "\nThe ideal is the work that was done divided by all cores: no machine idle, nothing worked twice.\n";
+    text
+}

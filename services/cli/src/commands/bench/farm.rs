@@ -1,0 +1,78 @@
+//! `segwild bench farm`
+
+use super::command_line::command_line;
+use crate::args::{examples, number, numbers, path, path_of};
+use crate::exit;
+use crate::failure::Failure;
+use crate::output::print_line;
+use clap::{Arg, ArgMatches, Command, value_parser};
+use segwild_bench::farm::{FarmBenchOptions, page};
+use segwild_eval::record::Provenance;
+use std::path::PathBuf;
+
+/// The benchmark's arguments.
+pub fn command() -> Command {
+    let whole = || value_parser!(u32).range(1..);
+    Command::new("farm")
+        .about("Measure a farm: its log on a real server, and many scenes on simulated machines")
+        .after_help(examples(
+            "segwild bench farm",
+            "segwild bench farm --scenes 1000 --machines 20 --page farm.md",
+        ))
+        .arg(path("server", "The nats-server program [default: nats-server]"))
+        .arg(number("jobs", "1000", "Jobs of the log that is measured").value_parser(whole()))
+        .arg(number("scenes", "10000", "Simulated scenes").value_parser(whole()))
+        .arg(number("machines", "200", "Simulated machines").value_parser(whole()))
+        .arg(
+            Arg::new("seeds")
+                .long("seeds")
+                .value_name("LIST")
+                .default_value("1,2,3")
+                .help("Seeds of the simulated farms"),
+        )
+        .arg(path("out", "Folder for the server's log [default: .bench/farm]"))
+        .arg(path("page", "Write the figures to this file, as a page"))
+}
+
+/// Measures a farm.
+pub fn farm(matches: &ArgMatches) -> Result<(), Failure> {
+    let count = |name: &str| *matches.get_one::<u32>(name).expect("it has a default") as usize;
+    let options = FarmBenchOptions {
+        dir: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/farm")),
+        server: path_of(matches, "server").unwrap_or_else(|| PathBuf::from("nats-server")),
+        jobs: count("jobs"),
+        scenes: count("scenes"),
+        workers: count("machines"),
+        seeds: numbers(matches, "seeds")?,
+    };
+    let failed = |error: segwild_bench::farm::FarmBenchError| Failure {
+        message: error.to_string(),
+        code: exit::FAILED,
+    };
+    let figures = segwild_bench::farm::farm(&options, |s| {
+        let _ = print_line(&format!(
+            "seed {}: {} done, {} dead of {} hopeless, {} lost, {} done twice; {:.3} of the ideal time",
+            s.seed, s.done, s.dead[0], s.dead[1], s.lost, s.doubled, s.over_ideal
+        ));
+    })
+    .map_err(failed)?;
+    match &figures.log {
+        None => print_line("no nats-server here: the log was not measured")?,
+        Some(log) => print_line(&format!(
+            "{:.0} changes a second by one machine, {:.0} by four; {:.0} ms to join after {:.0} records",
+            log.alone, log.four, log.joining[0], log.joining[1]
+        ))?,
+    }
+    if let Some(file) = path_of(matches, "page") {
+        let made = Provenance::here(command_line());
+        segwild_flow::files::write_plain(&file, page(&figures, &options, &made))
+            .map_err(|e| Failure::cannot_write(&file, &e))?;
+    }
+    match figures.simulated.iter().find(|s| s.lost > 0 || s.doubled > 0) {
+        None => Ok(()),
+        Some(s) => {
+            let message = format!("seed {}: {} scenes were lost, {} done twice", s.seed, s.lost, s.doubled);
+            Err(Failure { message, code: exit::FAILED })
+        }
+    }
+}
