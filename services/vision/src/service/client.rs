@@ -4,6 +4,7 @@ use super::address::ServiceAddress;
 use super::error::ServiceError;
 use super::member::{Client, Member, described};
 use super::pool::{CallError, ServicePool, ServiceTerms};
+use super::queue::Priority;
 use super::wire::{self, Arriving, MOST_MESSAGE, MessageError, NamedImage};
 use crate::network_file::NetworkFile;
 use crate::provider::check_certainty;
@@ -95,7 +96,7 @@ impl RemoteVision {
         self.key_of(Capability::FindTransients).is_some()
     }
 
-    /// Calls that all of them take at the same time.
+    /// Calls that are worth making at the same time: those that all of them take, and a few that wait.
     pub fn calls(&self) -> usize {
         self.pool.calls()
     }
@@ -121,6 +122,7 @@ impl RemoteVision {
     /// Calls with images that the service must hold: those that it lacks are put.
     fn call<T, F>(
         &self,
+        priority: Priority,
         images: &[&Image],
         operation: impl Fn(Client, Vec<String>) -> F + Send + Sync + 'static,
     ) -> Result<T, VisionError>
@@ -141,7 +143,7 @@ impl RemoteVision {
         let operation = Arc::new(operation);
         let answer = async move {
             pool.clone()
-                .call(move |client| {
+                .call(priority, move |client| {
                     let (images, operation, pool) = (images.clone(), operation.clone(), pool.clone());
                     async move {
                         let hashes =
@@ -175,7 +177,7 @@ impl RemoteVision {
 
     fn prompt(&self, image: &Image, prompts: &Prompts) -> Result<Prompted, VisionError> {
         let (size, prompts) = ([image.width, image.height], prompts.clone());
-        self.call(&[image], move |mut client, hashes| {
+        self.call(Priority::Click, &[image], move |mut client, hashes| {
             let request = wire::prompts(hashes[0].clone(), &prompts);
             async move {
                 let answer = client.segment_prompts(request).await?.into_inner();
@@ -218,7 +220,7 @@ impl Embedder for RemoteVision {
     }
 
     fn embed(&self, image: &Image) -> Result<Embedding, VisionError> {
-        self.call(&[image], |mut client, hashes| async move {
+        self.call(Priority::Bulk, &[image], |mut client, hashes| async move {
             let request = v1::EmbedRequest { image: hashes[0].clone() };
             Ok(arrived(client.embed(request).await?.into_inner()).await?.embedding()?)
         })
@@ -234,7 +236,7 @@ impl MaskProposer for RemoteVision {
         let began = Instant::now();
         let (size, prompts) = ([image.width, image.height], points.len() as u64);
         let points: Vec<v1::Position> = points.iter().map(|p| wire::position(*p)).collect();
-        let masks = self.call(&[image], move |mut client, hashes| {
+        let masks = self.call(Priority::Bulk, &[image], move |mut client, hashes| {
             let request = v1::ProposeMasksRequest { image: hashes[0].clone(), points: points.clone() };
             // A model may nest some masks per point; more than that fills memory.
             let most = 16 * (points.len() + 64);
@@ -291,7 +293,7 @@ impl PromptSegmenter for RemoteVision {
         }
         let size = [image.width, image.height];
         let plane = Image { channels: 1, data: certainty.plane(0).to_vec(), ..*certainty };
-        self.call(&[image, &plane], move |mut client, hashes| async move {
+        self.call(Priority::Click, &[image, &plane], move |mut client, hashes| async move {
             let request = v1::RefineMaskRequest { image: hashes[0].clone(), certainty: hashes[1].clone() };
             Ok(wire::scored_of(client.refine_mask(request).await?.into_inner(), size)?)
         })
@@ -302,7 +304,7 @@ impl PromptSegmenter for RemoteVision {
             return Ok(None);
         }
         let size = (image.width, image.height, 1);
-        self.call(&[image], move |mut client, hashes| async move {
+        self.call(Priority::Bulk, &[image], move |mut client, hashes| async move {
             let request = v1::FindBoundariesRequest { image: hashes[0].clone() };
             let (found, _) = arrived(client.find_boundaries(request).await?.into_inner()).await?.finish()?;
             let strengths = found.data.iter().all(|v| (0.0..=1.0).contains(v));
@@ -333,7 +335,7 @@ impl SkyDetector for RemoteVision {
         let size = [image.width, image.height];
         let seen = if self.by_points() { seen } else { &[] };
         let points: Vec<v1::Position> = seen.iter().map(|p| wire::position(*p)).collect();
-        self.call(&[image], move |mut client, hashes| {
+        self.call(Priority::Training, &[image], move |mut client, hashes| {
             let request = v1::FindSkyRequest { image: hashes[0].clone(), points: points.clone() };
             async move { Ok(wire::mask_of(Some(client.find_sky(request).await?.into_inner()), size)?) }
         })
@@ -347,9 +349,108 @@ impl TransientDetector for RemoteVision {
 
     fn transients(&self, image: &Image) -> Result<Mask, VisionError> {
         let size = [image.width, image.height];
-        self.call(&[image], move |mut client, hashes| async move {
+        self.call(Priority::Training, &[image], move |mut client, hashes| async move {
             let request = v1::FindTransientsRequest { image: hashes[0].clone() };
             Ok(wire::mask_of(Some(client.find_transients(request).await?.into_inner()), size)?)
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::service::{ServiceAddress, VisionServiceOptions, serve_vision};
+    use crate::{Providers, VisionSettings};
+    use std::time::Duration;
+
+    /// Models that note which of them is called, and answer when the gate is open.
+    struct Gated {
+        gate: Mutex<mpsc::Receiver<()>>,
+        called: Mutex<Vec<&'static str>>,
+    }
+
+    impl Gated {
+        fn answer<T>(&self, name: &'static str, answer: T) -> Result<T, VisionError> {
+            self.called.lock().unwrap().push(name);
+            // An error once the sender is dropped.
+            let _ = self.gate.lock().unwrap().recv();
+            Ok(answer)
+        }
+    }
+
+    impl MaskProposer for Gated {
+        fn key(&self) -> String {
+            "gated".into()
+        }
+        fn propose(&self, _: &Image, _: &[[f32; 2]]) -> Result<Vec<ScoredMask>, VisionError> {
+            self.answer("masks", Vec::new())
+        }
+    }
+
+    impl SkyDetector for Gated {
+        fn key(&self) -> String {
+            "gated".into()
+        }
+        fn sky(&self, image: &Image) -> Result<Mask, VisionError> {
+            self.answer("sky", Mask::empty(image.width as u32, image.height as u32))
+        }
+    }
+
+    impl PromptSegmenter for Gated {
+        fn key(&self) -> String {
+            "gated".into()
+        }
+        fn prompted(&self, image: &Image, _: &Prompts) -> Result<Prompted, VisionError> {
+            let mask = Mask::empty(image.width as u32, image.height as u32);
+            self.answer("click", Prompted::sure(ScoredMask { mask, predicted_iou: 1.0, stability: 1.0 }))
+        }
+        fn refine(&self, _: &Image, _: &Image) -> Result<ScoredMask, VisionError> {
+            Err(VisionError::Image("it is not called".into()))
+        }
+    }
+
+    #[test]
+    fn skies_and_clicks_overtake_masks_that_wait() {
+        let (open, gate) = mpsc::channel();
+        let gated = Arc::new(Gated { gate: Mutex::new(gate), called: Mutex::default() });
+        let providers = Providers {
+            proposer: gated.clone(),
+            sky: gated.clone(),
+            segmenter: gated.clone(),
+            ..Providers::from_settings(&VisionSettings::default()).unwrap()
+        };
+        let options = VisionServiceOptions {
+            address: "127.0.0.1:0".parse().unwrap(),
+            token: None,
+            memory: 1 << 20,
+            parallel: 1,
+        };
+        let server = serve_vision(providers, options).unwrap();
+        let addresses = ServiceAddress::list(&format!("grpc://{}", server.address())).unwrap();
+        let time = Duration::from_secs(60);
+        let terms = ServiceTerms { deadline: time, patience: time, first_patience: time };
+        let there = RemoteVision::connect(addresses, None, terms).unwrap();
+        let image = Image::zeros(16, 16, 3);
+        let until_waiting = |calls: usize| {
+            while there.pool.queue.len() < calls {
+                std::thread::yield_now();
+            }
+        };
+        std::thread::scope(|scope| {
+            // Two of them have a slot: one is computed, and one is sent ahead.
+            for _ in 0..4 {
+                scope.spawn(|| there.propose(&image, &[[1.0, 1.0]]).unwrap());
+            }
+            until_waiting(2);
+            for _ in 0..2 {
+                scope.spawn(|| there.sky(&image).unwrap());
+            }
+            until_waiting(4);
+            scope.spawn(|| there.prompted(&image, &Prompts::click(1.0, 1.0)).unwrap());
+            until_waiting(5);
+            drop(open);
+        });
+        let called = gated.called.lock().unwrap();
+        assert_eq!(**called, ["masks", "masks", "sky", "sky", "click", "masks", "masks"]);
     }
 }

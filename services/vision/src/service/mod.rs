@@ -7,6 +7,7 @@ mod client;
 mod error;
 mod member;
 mod pool;
+mod queue;
 mod server;
 mod wire;
 

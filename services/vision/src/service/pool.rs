@@ -1,16 +1,21 @@
-//! Several services as one: calls go where there is room, and to another one when a service fails.
+//! Several services as one: calls go where a slot is free, the urgent ones first, and to another service when one fails.
 
 use super::error::ServiceError;
 use super::member::{Client, Described, Member, plain};
+use super::queue::{CallQueue, Priority, Ticket};
 use super::wire::MessageError;
 use std::error::Error;
+use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tokio::sync::{Notify, OwnedSemaphorePermit};
+use tokio::sync::OwnedSemaphorePermit;
 use tonic::{Code, Status};
 
 /// A call that a service answers with an error of its own, or not in time, is tried so often in all.
 const ATTEMPTS: u32 = 3;
+/// Calls per service that should wait here for a slot: a slot that becomes free then goes to the most urgent call, and not to a
+/// bulk one because the next urgent one is not there yet.
+const WAITING: usize = 1;
 /// Longest time until the services are checked again for one that may be called.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
@@ -30,19 +35,19 @@ pub(super) struct ServicePool {
     pub members: Vec<Member>,
     pub described: Described,
     pub terms: ServiceTerms,
-    freed: Notify,
+    pub queue: CallQueue,
 }
 
 /// A slot of a service, while a call is there.
 struct Slot<'a> {
     permit: Option<OwnedSemaphorePermit>,
-    freed: &'a Notify,
+    queue: &'a CallQueue,
 }
 
 impl Drop for Slot<'_> {
     fn drop(&mut self) {
         drop(self.permit.take());
-        self.freed.notify_one();
+        self.queue.check_again();
     }
 }
 
@@ -135,7 +140,7 @@ impl ServicePool {
                 }
             }
             if let Some((_, described)) = first {
-                return Ok(ServicePool { described, terms, freed: Notify::new(), members });
+                return Ok(ServicePool { described, terms, queue: CallQueue::default(), members });
             }
             if began.elapsed() > terms.first_patience {
                 return Err(gone(&members, terms.first_patience));
@@ -144,43 +149,49 @@ impl ServicePool {
         }
     }
 
-    /// Calls that all services together are sent at a time.
+    /// Calls that are worth making at a time: those that all services together are sent, and a few that wait for a slot.
     pub fn calls(&self) -> usize {
-        self.members.iter().map(Member::calls).sum()
+        let sent = self.members.iter().map(|member| member.calls());
+        sent.filter(|calls| *calls > 0).map(|calls| calls + WAITING).sum()
     }
 
-    /// A service with room, the one with most of it first; waits for it.
-    async fn slot(&self) -> Option<(&Member, Slot<'_>)> {
-        loop {
-            let freed = self.freed.notified();
-            let now = Instant::now();
-            let mut with_slots: Vec<_> =
-                self.members.iter().filter_map(|member| Some((member, member.slots(now)?))).collect();
-            if with_slots.is_empty() {
-                return None;
-            }
-            with_slots.sort_by_key(|(_, slots)| std::cmp::Reverse(slots.available_permits()));
-            for (member, slots) in with_slots {
-                if let Ok(permit) = slots.try_acquire_owned() {
-                    return Some((member, Slot { permit: Some(permit), freed: &self.freed }));
-                }
-            }
-            let _ = tokio::time::timeout(POLL_INTERVAL, freed).await;
+    /// A service with a free slot, the one with most of them first; waits until it is the call's turn. `None` when no service may
+    /// be called now.
+    async fn slot(&self, ticket: Ticket) -> Option<(&Member, Slot<'_>)> {
+        self.queue.turn(ticket, POLL_INTERVAL, || self.free_slot()).await
+    }
+
+    fn free_slot(&self) -> ControlFlow<Option<(&Member, Slot<'_>)>> {
+        let now = Instant::now();
+        let mut with_slots: Vec<_> =
+            self.members.iter().filter_map(|member| Some((member, member.slots(now)?))).collect();
+        if with_slots.is_empty() {
+            return ControlFlow::Break(None);
         }
+        with_slots.sort_by_key(|(_, slots)| std::cmp::Reverse(slots.available_permits()));
+        for (member, slots) in with_slots {
+            if let Ok(permit) = slots.try_acquire_owned() {
+                let slot = Slot { permit: Some(permit), queue: &self.queue };
+                return ControlFlow::Break(Some((member, slot)));
+            }
+        }
+        ControlFlow::Continue(())
     }
 
     /// Calls a service; another one, or the same one later, where it fails. An answer depends on the call alone, so that a call
     /// may be repeated.
     pub async fn call<T, F>(
         self: Arc<ServicePool>,
+        priority: Priority,
         operation: impl Fn(Client) -> F,
     ) -> Result<T, ServiceError>
     where
         F: Future<Output = Result<T, CallError>>,
     {
+        let ticket = self.queue.ticket(priority, Instant::now());
         let (mut attempts, mut since) = (0, None::<Instant>);
         loop {
-            let Some((member, _slot)) = self.slot().await else {
+            let Some((member, _slot)) = self.slot(ticket).await else {
                 let since = *since.get_or_insert_with(Instant::now);
                 if since.elapsed() > self.terms.patience || self.members.iter().all(Member::is_left_out) {
                     return Err(gone(&self.members, self.terms.patience));

@@ -60,7 +60,7 @@ fn a_service_of_the_built_in_provider_answers_as_it_does_here() {
         ..VisionSettings::default()
     };
     let there = Providers::from_settings(&settings).unwrap();
-    assert_eq!((there.name.as_str(), there.remote_calls), ("remote:built-in", 3));
+    assert_eq!((there.name.as_str(), there.remote_calls), ("remote:built-in", 4));
     assert_eq!(there.embedder.embed(&image).unwrap(), here.embedder.embed(&image).unwrap());
     let points = [[20.0, 50.0], [60.0, 50.0]];
     assert_eq!(
