@@ -60,9 +60,9 @@ impl RemoteVision {
             .map_err(ServiceError::Start)?;
         let members = {
             let _inside = runtime.enter();
-            addresses.into_iter().map(|address| Member::new(address, token, MOST_MESSAGE)).collect()
+            addresses.into_iter().map(|address| Arc::new(Member::new(address, token, MOST_MESSAGE))).collect()
         };
-        let pool = Arc::new(wait(&runtime, ServicePool::connect(members, terms))?);
+        let pool = wait(&runtime, ServicePool::connect(members, terms))?;
         Ok(RemoteVision { pool, runtime: Some(runtime), work: Mutex::default() })
     }
 
@@ -116,7 +116,7 @@ impl RemoteVision {
             true => format!("{} (does not answer yet)", member.address),
             false => member.address.to_string(),
         };
-        self.pool.members.iter().map(words).collect::<Vec<_>>().join(", ")
+        self.pool.members.iter().map(|member| words(member)).collect::<Vec<_>>().join(", ")
     }
 
     /// Calls with images that the service must hold: those that it lacks are put.

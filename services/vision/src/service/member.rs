@@ -18,10 +18,13 @@ use tonic::{Request, Status};
 const CONNECT: Duration = Duration::from_secs(5);
 /// Time between two signs of life on a connection: a machine that is gone is noticed within two of them.
 const SIGN_OF_LIFE: Duration = Duration::from_secs(10);
-/// Rest of a service after its first failure; it doubles with each further one.
-const FIRST_REST: Duration = Duration::from_millis(250);
+/// Shortest rest of a service that failed.
+const SHORTEST_REST: Duration = Duration::from_millis(100);
 /// Longest rest.
 const LONGEST_REST: Duration = Duration::from_secs(10);
+/// A service rests for this part of the time that it has been away: it is used again after at most that much longer than it was
+/// away, and one that stays away is called more and more rarely.
+const REST_SHARE: u32 = 8;
 /// Calls that a service is sent beyond those that it computes: they arrive while it computes.
 const AHEAD: usize = 1;
 /// Most calls at a time, whatever a service says of itself.
@@ -55,14 +58,26 @@ pub(super) struct Described {
 /// What is known of a service.
 #[derive(Clone, Debug, Default)]
 struct Health {
-    failures: u32,
+    /// Since when it does not answer.
+    gone_since: Option<Instant>,
     /// No call goes there before.
     rests_until: Option<Instant>,
     /// Whether it has to describe itself before the next call: it may have become another one.
     unknown: bool,
+    /// Whether somebody asks it to.
+    waited_for: bool,
     /// Why it is not used any more.
     left_out: Option<String>,
     last: String,
+}
+
+impl Health {
+    /// No call goes there for a while. Calls that fail together count once: the rest depends on the time alone.
+    fn rest(&mut self, now: Instant, reason: &str) {
+        let absence = now.duration_since(*self.gone_since.get_or_insert(now));
+        self.rests_until = Some(now + (absence / REST_SHARE).clamp(SHORTEST_REST, LONGEST_REST));
+        reason.clone_into(&mut self.last);
+    }
 }
 
 /// A service.
@@ -70,8 +85,6 @@ pub(super) struct Member {
     pub address: ServiceAddress,
     client: Client,
     slots: OnceLock<Arc<Semaphore>>,
-    /// The slot of the one call that asks a service what it is: others need not wait for one that may be gone.
-    asking: Arc<Semaphore>,
     health: Mutex<Health>,
 }
 
@@ -88,7 +101,7 @@ impl Member {
         let client = VisionClient::with_interceptor(channel, Credentials(token.map(Token::credentials)))
             .max_decoding_message_size(most_message);
         let health = Mutex::new(Health { unknown: true, ..Health::default() });
-        Member { address, client, slots: OnceLock::new(), asking: Arc::new(Semaphore::new(1)), health }
+        Member { address, client, slots: OnceLock::new(), health }
     }
 
     fn health(&self) -> MutexGuard<'_, Health> {
@@ -110,11 +123,26 @@ impl Member {
     pub fn slots(&self, now: Instant) -> Option<Arc<Semaphore>> {
         let health = self.health();
         let rests = health.rests_until.is_some_and(|until| now < until);
-        if rests || health.left_out.is_some() {
+        if rests || health.unknown || health.left_out.is_some() {
             return None;
         }
-        let slots = self.slots.get().filter(|_| !health.unknown);
-        Some(slots.unwrap_or(&self.asking).clone())
+        self.slots.get().cloned()
+    }
+
+    /// Whether it has to describe itself and nobody asks it to yet. The caller then does, until [`rest`](Self::rest) is `None`.
+    pub fn starts_waiting(&self) -> bool {
+        let mut health = self.health();
+        let asks = health.unknown && health.left_out.is_none() && !health.waited_for;
+        health.waited_for |= asks;
+        asks
+    }
+
+    /// Time until it may be asked what it is; `None` when that is known, or nobody needs to know any more.
+    pub fn rest(&self) -> Option<Duration> {
+        let mut health = self.health();
+        health.waited_for = health.unknown && health.left_out.is_none();
+        let until = health.rests_until.map(|until| until.saturating_duration_since(Instant::now()));
+        health.waited_for.then(|| until.unwrap_or_default())
     }
 
     /// Calls that it is sent at a time; 0 where it was never reached.
@@ -129,30 +157,23 @@ impl Member {
     /// It has answered. Returns whether it had failed before.
     pub fn answers(&self) -> bool {
         let mut health = self.health();
-        let came_back = health.failures > 0;
-        (health.failures, health.rests_until, health.unknown) = (0, None, false);
-        came_back
+        health.unknown = false;
+        health.rests_until = None;
+        health.gone_since.take().is_some()
     }
 
     /// It does not answer: it rests, and has to describe itself afterwards. Returns whether it did answer before.
     pub fn fails(&self, reason: &str) -> bool {
         let mut health = self.health();
-        let first = health.failures == 0;
-        self.rest(&mut health, reason);
+        let first = health.gone_since.is_none();
+        health.rest(Instant::now(), reason);
         health.unknown = true;
         first
     }
 
     /// It has too much to do.
     pub fn is_busy(&self) {
-        self.rest(&mut self.health(), "it has too much to do");
-    }
-
-    fn rest(&self, health: &mut Health, reason: &str) {
-        let rest = FIRST_REST.saturating_mul(1 << health.failures.min(16)).min(LONGEST_REST);
-        health.failures += 1;
-        health.rests_until = Some(Instant::now() + rest);
-        reason.clone_into(&mut health.last);
+        self.health().rest(Instant::now(), "it has too much to do");
     }
 
     /// It is not used any more.
@@ -190,4 +211,21 @@ pub(super) async fn described(mut client: Client) -> Result<(Described, usize), 
 /// Another machine's text, for messages of one line.
 pub(super) fn plain(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).take(200).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_service_rests_for_a_part_of_the_time_since_it_failed_however_many_calls_did() {
+        let (mut health, began) = (Health::default(), Instant::now());
+        let mut rest_after = |seconds: u64| {
+            let now = began + Duration::from_secs(seconds);
+            health.rest(now, "gone");
+            health.rests_until.unwrap() - now
+        };
+        let rests = [0, 0, 0, 4, 20, 3600].map(&mut rest_after);
+        assert_eq!(rests.map(|rest| rest.as_millis()), [100, 100, 100, 500, 2500, 10_000]);
+    }
 }

@@ -32,7 +32,7 @@ pub struct ServiceTerms {
 
 /// Services with the same models.
 pub(super) struct ServicePool {
-    pub members: Vec<Member>,
+    pub members: Vec<Arc<Member>>,
     pub described: Described,
     pub terms: ServiceTerms,
     pub queue: CallQueue,
@@ -113,11 +113,15 @@ impl ServicePool {
     ///
     /// # Errors
     /// When none answers in time, one refuses the token, or two have different models.
-    pub async fn connect(members: Vec<Member>, terms: ServiceTerms) -> Result<ServicePool, ServiceError> {
+    pub async fn connect(
+        members: Vec<Arc<Member>>,
+        terms: ServiceTerms,
+    ) -> Result<Arc<ServicePool>, ServiceError> {
         let began = Instant::now();
         loop {
-            let answers = futures_util::future::join_all(members.iter().map(Member::describe)).await;
-            let mut first: Option<(&Member, Described)> = None;
+            let answers =
+                futures_util::future::join_all(members.iter().map(|member| member.describe())).await;
+            let mut first: Option<(&Arc<Member>, Described)> = None;
             for (member, answer) in members.iter().zip(answers) {
                 match answer {
                     Err(status) if matches!(verdict(&status), Verdict::Unknown | Verdict::Refused) => {
@@ -140,7 +144,10 @@ impl ServicePool {
                 }
             }
             if let Some((_, described)) = first {
-                return Ok(ServicePool { described, terms, queue: CallQueue::default(), members });
+                let pool = Arc::new(ServicePool { described, terms, queue: CallQueue::default(), members });
+                let unknown = pool.members.iter().filter(|member| member.is_unknown());
+                unknown.for_each(|member| pool.wait_for(member));
+                return Ok(pool);
             }
             if began.elapsed() > terms.first_patience {
                 return Err(gone(&members, terms.first_patience));
@@ -157,11 +164,11 @@ impl ServicePool {
 
     /// A service with a free slot, the one with most of them first; waits until it is the call's turn. `None` when no service may
     /// be called now.
-    async fn slot(&self, ticket: Ticket) -> Option<(&Member, Slot<'_>)> {
+    async fn slot(&self, ticket: Ticket) -> Option<(&Arc<Member>, Slot<'_>)> {
         self.queue.turn(ticket, POLL_INTERVAL, || self.free_slot()).await
     }
 
-    fn free_slot(&self) -> ControlFlow<Option<(&Member, Slot<'_>)>> {
+    fn free_slot(&self) -> ControlFlow<Option<(&Arc<Member>, Slot<'_>)>> {
         let now = Instant::now();
         let mut with_slots: Vec<_> =
             self.members.iter().filter_map(|member| Some((member, member.slots(now)?))).collect();
@@ -193,16 +200,14 @@ impl ServicePool {
         loop {
             let Some((member, _slot)) = self.slot(ticket).await else {
                 let since = *since.get_or_insert_with(Instant::now);
-                if since.elapsed() > self.terms.patience || self.members.iter().all(Member::is_left_out) {
+                if since.elapsed() > self.terms.patience
+                    || self.members.iter().all(|member| member.is_left_out())
+                {
                     return Err(gone(&self.members, self.terms.patience));
                 }
                 tokio::time::sleep(POLL_INTERVAL).await;
                 continue;
             };
-            if member.is_unknown() && !self.is_as_before(member).await {
-                since.get_or_insert_with(Instant::now);
-                continue;
-            }
             let answer = tokio::time::timeout(self.terms.deadline, operation(member.client())).await;
             let seconds = self.terms.deadline.as_secs();
             let answer = answer.unwrap_or_else(|_| {
@@ -231,6 +236,7 @@ impl ServicePool {
                     if member.fails(&words(&status)) {
                         tracing::warn!("{} is left out until it answers: {}", member.address, words(&status));
                     }
+                    self.wait_for(member);
                 }
                 Verdict::Busy => {
                     since.get_or_insert_with(Instant::now);
@@ -245,30 +251,36 @@ impl ServicePool {
                     }
                     if status.code() == Code::DeadlineExceeded {
                         member.fails(&words(&status));
+                        self.wait_for(member);
                     }
                 }
             }
         }
     }
 
-    /// Whether a service answers again, with the models of before.
-    async fn is_as_before(&self, member: &Member) -> bool {
-        match member.describe().await {
-            Ok(described) if described == self.described => {
-                if member.answers() {
-                    tracing::warn!("{} answers again", member.address);
-                }
-                true
-            }
-            Ok(_) => {
-                leave_out(member);
-                false
-            }
-            Err(status) => {
-                member.fails(&words(&status));
-                false
-            }
+    /// Asks a service that failed what it is, after each of its rests, until it answers. No call waits for one that may be gone.
+    fn wait_for(self: &Arc<ServicePool>, member: &Arc<Member>) {
+        if !member.starts_waiting() {
+            return;
         }
+        let (pool, member) = (Arc::downgrade(self), member.clone());
+        tokio::spawn(async move {
+            while let Some(rest) = member.rest() {
+                tokio::time::sleep(rest).await;
+                let answer = member.describe().await;
+                let Some(pool) = pool.upgrade() else { return };
+                match answer {
+                    Ok(described) if described == pool.described => {
+                        if member.answers() {
+                            tracing::warn!("{} answers again", member.address);
+                        }
+                    }
+                    Ok(_) => leave_out(&member),
+                    Err(status) => _ = member.fails(&words(&status)),
+                }
+                pool.queue.check_again();
+            }
+        });
     }
 }
 
@@ -283,8 +295,8 @@ fn refusal(member: &Member, status: &Status) -> ServiceError {
     ServiceError::Refused { address: member.address.clone(), reason: words(status) }
 }
 
-fn gone(members: &[Member], waited: Duration) -> ServiceError {
-    let reasons: Vec<String> = members.iter().map(Member::reason).collect();
+fn gone(members: &[Arc<Member>], waited: Duration) -> ServiceError {
+    let reasons: Vec<String> = members.iter().map(|member| member.reason()).collect();
     ServiceError::Gone {
         seconds: waited.as_secs(),
         reasons: reasons.join("; "),
