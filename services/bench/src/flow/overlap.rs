@@ -92,6 +92,8 @@ fn one_after_another(
 pub(super) struct RunPair {
     pub(super) whole: TimedRun,
     legs: Vec<TimedRun>,
+    /// Seconds that the dataflow's services computed, over the calls that all of them compute at a time; 0 without services.
+    pub(super) services: f64,
 }
 
 impl RunPair {
@@ -101,28 +103,34 @@ impl RunPair {
         dir: &Path,
         settings: &Settings,
         providers: &Providers,
+        services: impl Fn() -> f64,
     ) -> Result<RunPair, FlowError> {
-        let whole = || -> Result<TimedRun, FlowError> {
+        let whole = || -> Result<(TimedRun, f64), FlowError> {
+            let before = services();
             let timed = timed(scene, &fresh(&dir.join("run"))?, settings, providers, None)?;
             keep_trace(dir, number)?;
-            Ok(timed)
+            Ok((timed, services() - before))
         };
         let legs = || one_after_another(scene, &dir.join("legs"), settings, providers);
         if number.is_multiple_of(2) {
             let legs = legs()?;
-            Ok(RunPair { whole: whole()?, legs })
+            let (whole, services) = whole()?;
+            Ok(RunPair { whole, legs, services })
         } else {
-            Ok(RunPair { whole: whole()?, legs: legs()? })
+            let (whole, services) = whole()?;
+            Ok(RunPair { whole, legs: legs()?, services })
         }
     }
 
+    /// `services` returns the seconds that vision services have computed so far, over the calls that they compute at a time.
     pub(super) fn measure_all(
         scene: &Path,
         dir: &Path,
         settings: &Settings,
         providers: &Providers,
+        services: impl Fn() -> f64,
     ) -> Result<Vec<RunPair>, FlowError> {
-        (0..PAIRS).map(|n| RunPair::measure(n, scene, dir, settings, providers)).collect()
+        (0..PAIRS).map(|n| RunPair::measure(n, scene, dir, settings, providers, &services)).collect()
     }
 
     /// Seconds of the stages one after another.
@@ -138,9 +146,12 @@ impl RunPair {
         let (s, e, t1, m) = (sky.stage("sky"), embed.stage("embed"), early.training, early.stage("masks"));
         let t2 = rest.training;
         let end = LAST_STAGES.iter().map(|n| rest.stage(n)).sum::<f64>();
-        let chain = (s + t1 + t2.max(m)).max(e) + end;
+        // Services that skies, embeddings and masks share compute them one after another, whatever waits for them.
+        let chain = (s + t1 + t2.max(m)).max(e).max(self.services) + end;
+        let services =
+            if self.services > 0.0 { format!(", or services {:.2}", self.services) } else { String::new() };
         let words = format!(
-            "{chain:.2} s (sky {s:.2}, then training {t1:.2}, then training {t2:.2} or masks {m:.2}, or embeddings {e:.2}; \
+            "{chain:.2} s (sky {s:.2}, then training {t1:.2}, then training {t2:.2} or masks {m:.2}, or embeddings {e:.2}{services}; \
              then {end:.2})"
         );
         (chain, words)
@@ -168,7 +179,7 @@ pub fn overlap(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
     let ms = Duration::from_millis;
     let providers =
         waiting(&builtin, Waits { sky: ms(40), embed: ms(120), masks: ms(120), accelerator: false });
-    let pairs = RunPair::measure_all(&scene, &dir, &settings, &providers)?;
+    let pairs = RunPair::measure_all(&scene, &dir, &settings, &providers, || 0.0)?;
     let (pair, value, spread) = median(&pairs, |p| p.whole.wall / p.chain().0);
     let from = format!(
         "{spread}; that one: wall {:.2} s, processor {:.2} s, chain {}, one after another wall {:.2} s, processor {:.2} s",
@@ -245,7 +256,7 @@ pub fn cost(options: &FlowOptions) -> Result<Vec<Row>, FlowError> {
     let settings =
         settings(&[("size", "160"), ("steps", "600"), ("refine_steps", "60"), ("prompt_budget", "64")])?;
     let providers = Providers::from_settings(&settings.vision).map_err(segwild_pipeline::RunError::from)?;
-    let pairs = RunPair::measure_all(&scene, &dir, &settings, &providers)?;
+    let pairs = RunPair::measure_all(&scene, &dir, &settings, &providers, || 0.0)?;
     let row = |name: &str, what: &'static str, seconds: fn(&TimedRun) -> f64| {
         let (pair, value, spread) = median(&pairs, |p| seconds(&p.whole) / p.sum(seconds));
         let (flow, sum) = (seconds(&pair.whole), pair.sum(seconds));
@@ -264,7 +275,7 @@ mod tests {
 
     fn pair(whole: f64, legs: f64) -> RunPair {
         let timed = |wall| TimedRun { wall, cpu: wall, stages: BTreeMap::new(), training: 0.0 };
-        RunPair { whole: timed(whole), legs: vec![timed(legs)] }
+        RunPair { whole: timed(whole), legs: vec![timed(legs)], services: 0.0 }
     }
 
     #[test]

@@ -9,9 +9,9 @@ use segwild_proto::v1::{self, Capability, PixelFormat};
 use segwild_scene::{Image, Mask};
 use std::collections::HashMap;
 use std::net::SocketAddr;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::Semaphore;
 use tonic::transport::server::TcpIncoming;
 use tonic::{Request, Response, Status, Streaming};
@@ -46,7 +46,14 @@ pub struct VisionServiceOptions {
 pub struct VisionServer {
     runtime: Option<tokio::runtime::Runtime>,
     address: SocketAddr,
-    computed: Arc<AtomicUsize>,
+    computed: Arc<ComputedCalls>,
+}
+
+/// The calls that a service has computed.
+#[derive(Default)]
+struct ComputedCalls {
+    count: AtomicUsize,
+    micros: AtomicU64,
 }
 
 impl VisionServer {
@@ -57,7 +64,12 @@ impl VisionServer {
 
     /// Calls that were computed so far.
     pub fn computed(&self) -> usize {
-        self.computed.load(Ordering::Relaxed)
+        self.computed.count.load(Ordering::Relaxed)
+    }
+
+    /// Time that these calls took, summed over all that were computed at the same time. What they waited is not counted.
+    pub fn busy(&self) -> Duration {
+        Duration::from_micros(self.computed.micros.load(Ordering::Relaxed))
     }
 }
 
@@ -86,7 +98,7 @@ pub fn serve_vision(providers: Providers, options: VisionServiceOptions) -> std:
     let listener = std::net::TcpListener::bind(address)?;
     listener.set_nonblocking(true)?;
     let address = listener.local_addr()?;
-    let computed = Arc::new(AtomicUsize::new(0));
+    let computed = Arc::<ComputedCalls>::default();
     let service = Service {
         description: described(&providers, parallel),
         providers: Arc::new(providers),
@@ -189,7 +201,7 @@ struct Service {
     computing: Arc<Semaphore>,
     waiting: AtomicUsize,
     most_waiting: usize,
-    computed: Arc<AtomicUsize>,
+    computed: Arc<ComputedCalls>,
 }
 
 /// Counts a call that waits for as long as it does.
@@ -235,8 +247,10 @@ impl Service {
         let (providers, computed) = (self.providers.clone(), self.computed.clone());
         let answer = tokio::task::spawn_blocking(move || {
             let _permit = permit;
+            let began = Instant::now();
             let answer = work(&providers);
-            computed.fetch_add(1, Ordering::Relaxed);
+            computed.micros.fetch_add(began.elapsed().as_micros() as u64, Ordering::Relaxed);
+            computed.count.fetch_add(1, Ordering::Relaxed);
             answer
         });
         answer.await.map_err(|_| Status::internal("the model failed unexpectedly"))?.map_err(refused)
