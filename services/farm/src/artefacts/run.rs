@@ -1,12 +1,9 @@
 //! Runs to and from a store: a copy that is consistent while the run goes on.
 
-use std::collections::HashMap;
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use segwild_flow::files::{self, stays_inside};
-use segwild_flow::ledger::CheckpointRow;
 use segwild_flow::process::{Lock, LockError};
 use segwild_flow::{FileError, Ledger};
 
@@ -26,8 +23,8 @@ const LOCK: &str = "run.lock";
 const TRAINING: &str = "geometry";
 /// The folder of its checkpoints.
 const CHECKPOINTS: &str = "checkpoints";
-/// How often a run is copied in which files of the ledger are removed meanwhile.
-const TRIES: usize = 3;
+/// How often a ledger is copied of which a checkpoint is removed meanwhile.
+const TRIES: usize = 8;
 
 /// Whether a path of a run folder, a file's or a folder's, goes with the run. The ledger goes as a copy; its log, the lock
 /// and what is still being written belong to a process.
@@ -66,7 +63,7 @@ impl Drop for Aside {
 /// Copies a file that grows, as long as it is now.
 fn copy_of_growing(found: &Found, to: PathBuf) -> Result<Found, ArtefactError> {
     let failed = |e| FileError::new("read", &found.source, e);
-    let file = File::open(&found.source).map_err(failed)?;
+    let file = files::open_plain(&found.source).map_err(failed)?;
     let length = file.metadata().map_err(failed)?.len();
     files::write_with(&to, |copy| {
         std::io::copy(&mut file.take(length), copy).map(|_| ()).map_err(|e| FileError::new("copy", &to, e))
@@ -74,60 +71,92 @@ fn copy_of_growing(found: &Found, to: PathBuf) -> Result<Found, ArtefactError> {
     Ok(Found { path: found.path.clone(), source: to })
 }
 
+/// A copy of the ledger, and the checkpoints that it names with their digests. Those that are there are held before the
+/// copy is made: it takes longer than some checkpoints live. One that is written and removed meanwhile costs another copy.
+fn held_ledger(
+    ledger: &Ledger,
+    run: &Path,
+    aside: &Aside,
+) -> Result<(Found, Vec<(Found, ArtefactDigest)>), ArtefactError> {
+    let mut tries = 1;
+    loop {
+        let links = aside.0.join(format!("checkpoints{tries}"));
+        std::fs::create_dir(&links).map_err(|e| FileError::new("create the folder", &links, e))?;
+        let folder = run.join(CHECKPOINTS);
+        for entry in std::fs::read_dir(&folder).into_iter().flatten().flatten() {
+            hold_file(&entry.path(), &links.join(entry.file_name()));
+        }
+        let copy = aside.0.join(format!("ledger{tries}"));
+        ledger.copy_to(&copy)?;
+        let rows = Ledger::open_read_only(&copy)?.all_checkpoints(TRAINING)?;
+        let (mut held, mut missing) = (Vec::new(), None);
+        for row in rows {
+            // Of others the run reports that the ledger names a file elsewhere.
+            let (true, Ok(digest)) = (files::name::is_plain(&row.file), row.digest.parse()) else { continue };
+            let path = format!("{CHECKPOINTS}/{}", row.file);
+            match hold_file(&folder.join(&row.file), &links.join(&row.file)) {
+                Some(source) => held.push((Found { path, source }, digest)),
+                None => missing = Some(path),
+            }
+        }
+        if let Some(path) = missing.as_ref().filter(|_| tries == TRIES) {
+            // The run passes over it, and names it.
+            tracing::warn!("{}: its ledger names a checkpoint that is not there: {path}", run.display());
+        }
+        if missing.is_none() || tries == TRIES {
+            return Ok((Found { path: LEDGER.into(), source: copy }, held));
+        }
+        tries += 1;
+    }
+}
+
+/// A second name of a file, made unless it is there, under which it stays when the first one is removed; the file itself
+/// where the file system has no links; `None` when it is gone.
+fn hold_file(file: &Path, link: &Path) -> Option<PathBuf> {
+    if link.is_file() || std::fs::hard_link(file, link).is_ok() {
+        return Some(link.to_owned());
+    }
+    file.is_file().then(|| file.to_owned())
+}
+
 impl ArtefactSession {
     /// Stores a run as it is now, also while its process goes on. First the ledger is copied, then the files: each was
-    /// whole before the ledger named it. A checkpoint may be removed meanwhile for newer ones: then all is done once more.
+    /// whole before the ledger named it. The checkpoints that the ledger names are held by links meanwhile, so that they
+    /// outlive their removal for newer ones; only where one goes in the moment before that, the ledger is copied again.
     ///
     /// # Errors
     /// When there is no run, something in the folder leads out of it, or the store cannot be reached.
     pub fn store_run(&self, run: &Path) -> Result<ArtefactDigest, ArtefactError> {
         stays_inside(run, |_| true)?;
-        let mut tries = 1;
-        loop {
-            let (entries, missing) = self.store_run_once(run)?;
-            match missing {
-                Some(row) if tries < TRIES => {
-                    tracing::debug!(
-                        "checkpoint {} was removed while the run was stored: once more",
-                        row.file
-                    );
-                }
-                Some(row) => {
-                    // The run passes over it, and names it.
-                    tracing::warn!(
-                        "{}: its ledger names a checkpoint that is not there: {}",
-                        run.display(),
-                        row.file
-                    );
-                    return self.store_manifest(run, entries);
-                }
-                None => return self.store_manifest(run, entries),
-            }
-            tries += 1;
-        }
-    }
-
-    /// The files of the run, and a checkpoint that its ledger names and that was not found.
-    fn store_run_once(&self, run: &Path) -> Result<(Vec<FolderEntry>, Option<CheckpointRow>), ArtefactError> {
         let ledger = Ledger::open_read_only(run.join(LEDGER))?;
         let aside = Aside::make(run)?;
-        let copy = Found { path: LEDGER.into(), source: aside.0.join("ledger") };
-        ledger.copy_to(&copy.source)?;
-        let checkpoints = Ledger::open_read_only(&copy.source)?.all_checkpoints(TRAINING)?;
+        let (copy, checkpoints) = held_ledger(&ledger, run, &aside)?;
         let mut found = walk::files(run, self.limits(), &goes_with_run)?;
+        found.retain(|file| !checkpoints.iter().any(|(held, _)| held.path == file.path));
         for (i, file) in found.iter_mut().enumerate().filter(|(_, file)| grows(&file.path)) {
             *file = copy_of_growing(file, aside.0.join(format!("growing{i}")))?;
         }
         found.push(copy);
-        let entries = self.store_files(&found, Gone::LeftOut)?;
-        let stored: HashMap<&str, &FolderEntry> =
-            entries.iter().map(|entry| (entry.path.as_str(), entry)).collect();
-        let is_missing = |row: &CheckpointRow| {
-            let entry = stored.get(format!("{CHECKPOINTS}/{}", row.file).as_str()).copied();
-            entry.is_none_or(|entry| entry.digest.to_string() != row.digest)
-        };
-        let missing = checkpoints.into_iter().find(is_missing);
-        Ok((entries, missing))
+        let mut entries = self.store_files(&found, Gone::LeftOut)?;
+        for (held, digest) in checkpoints {
+            match self.put(&digest, &held.source) {
+                Ok(()) => {
+                    let data = std::fs::metadata(&held.source);
+                    let bytes = data.map_err(|e| FileError::new("read", &held.source, e))?.len();
+                    entries.push(FolderEntry { path: held.path, digest, bytes });
+                }
+                // The run passes over a damaged checkpoint, and names it.
+                Err(ArtefactError::Changed { .. }) => {
+                    tracing::warn!(
+                        "{}: the checkpoint {} is damaged: it is left out",
+                        run.display(),
+                        held.path
+                    );
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        self.store_manifest(run, entries)
     }
 
     /// Fetches a run such that `segwild run` continues it in `into`. The ledger comes last: what is fetched in part is no

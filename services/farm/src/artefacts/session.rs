@@ -122,7 +122,7 @@ impl ArtefactSession {
         }
     }
 
-    fn put(&self, digest: &ArtefactDigest, file: &Path) -> Result<(), ArtefactError> {
+    pub(super) fn put(&self, digest: &ArtefactDigest, file: &Path) -> Result<(), ArtefactError> {
         if hold(&self.stored).contains(digest) {
             return Ok(());
         }

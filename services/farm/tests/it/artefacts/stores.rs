@@ -134,7 +134,10 @@ fn a_bucket_of_jetstream_serves() {
     };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
     let client = runtime.block_on(async_nats::connect(&server.url)).unwrap();
-    let context = async_nats::jetstream::new(client);
+    let context = {
+        let _inside = runtime.enter();
+        async_nats::jetstream::new(client)
+    };
     let open = || JetStreamArtefacts::open(context.clone(), "artefacts", runtime.handle().clone()).unwrap();
     serves(&open(), &|digest, bytes| {
         runtime.block_on(async {
