@@ -1,9 +1,11 @@
 //! A farm of many machines: what its log costs on a real server, and how 10,000 scenes go through 200 simulated machines:
 //! `segwild bench farm`.
 
+mod kills;
 mod server;
 mod simulation;
 
+pub use self::kills::KillFigures;
 pub use self::server::LogFigures;
 pub use self::simulation::{SimulatedFarm, SimulatedFigures};
 
@@ -12,6 +14,9 @@ use segwild_eval::stamp;
 use segwild_farm::{EngineError, FarmAddressError};
 use std::path::PathBuf;
 
+/// Scenes and workers of the farm whose parts are killed.
+const KILLED_FARM: [usize; 2] = [12, 4];
+
 /// How to measure.
 #[derive(Clone, Debug)]
 pub struct FarmBenchOptions {
@@ -19,6 +24,10 @@ pub struct FarmBenchOptions {
     pub dir: PathBuf,
     /// The server program.
     pub server: PathBuf,
+    /// The `segwild` program, for workers.
+    pub program: PathBuf,
+    /// How often something of a farm is killed; 0: that is not measured.
+    pub kills: usize,
     /// Jobs of the log that is measured.
     pub jobs: usize,
     /// Simulated scenes.
@@ -34,6 +43,8 @@ pub struct FarmBenchOptions {
 pub struct FarmFigures {
     /// The log; `None` without a server program.
     pub log: Option<LogFigures>,
+    /// A farm whose parts are killed; `None` where that was not measured.
+    pub kills: Option<KillFigures>,
     /// The simulated farms.
     pub simulated: Vec<SimulatedFigures>,
 }
@@ -58,6 +69,12 @@ pub enum FarmBenchError {
         /// The system's error.
         source: std::io::Error,
     },
+    /// A scene could not be made or worked.
+    #[error("{0}")]
+    Scene(String),
+    /// A farm came to no end.
+    #[error("the farm came to no end within an hour")]
+    Stuck,
     /// A thread of the benchmark panicked.
     #[error("a machine of the benchmark panicked")]
     Panicked,
@@ -71,14 +88,20 @@ pub fn farm(
     options: &FarmBenchOptions,
     mut report: impl FnMut(&SimulatedFigures),
 ) -> Result<FarmFigures, FarmBenchError> {
-    let log = server::log(&options.server, &options.dir, options.jobs)?;
+    let log = server::log(&options.server, &options.dir.join("log"), options.jobs)?;
+    let kills = match options.kills {
+        0 => None,
+        count => {
+            kills::kills(&options.program, &options.server, &options.dir.join("kills"), KILLED_FARM, count)?
+        }
+    };
     let mut simulated = Vec::new();
     for &seed in &options.seeds {
         let figures = SimulatedFarm { scenes: options.scenes, workers: options.workers, seed }.run();
         report(&figures);
         simulated.push(figures);
     }
-    Ok(FarmFigures { log, simulated })
+    Ok(FarmFigures { log, kills, simulated })
 }
 
 /// The figures as a page.
@@ -105,6 +128,26 @@ pub fn page(figures: &FarmFigures, options: &FarmBenchOptions, made: &Provenance
                 log.disk[0] / f64::from(1 << 20)
             );
         }
+    }
+    if let Some(k) = &figures.kills {
+        let each: Vec<String> = k.killed.iter().map(|(what, n)| format!("{what} {n}")).collect();
+        text += &format!(
+            "\n## Killed at random moments\n\n{} small scenes, {} workers of one core, a server and a batch that watches, all on \
+             one machine; each is killed (SIGKILL) at a random moment and starts again. One worker in twelve starts without its \
+             folder, as on another machine: what it held is free when its lease ends, after 60 s and a rest.\n\n\
+             | killed | machines lost | scenes that differ from one machine's in any byte | completed twice | taken in all | \
+             farm took | one scene on one machine |\n|---|---:|---:|---:|---:|---:|---:|\n| {} | {} | {} | {} | {} | {:.0} s | \
+             {:.1} s |\n",
+            k.farm[0],
+            k.farm[1],
+            each.join(", "),
+            k.lost,
+            k.differing,
+            k.doubled,
+            k.taken,
+            k.seconds[0],
+            k.seconds[1]
+        );
     }
     text += &format!(
         "\n## {} scenes on {} simulated machines\n\nThe engine's own state machine decides; only the work is simulated. Machines \

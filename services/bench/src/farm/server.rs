@@ -25,27 +25,57 @@ pub struct LogFigures {
 }
 
 /// A server with its store in a folder; it ends with this value.
-struct NatsProcess {
+pub(super) struct NatsProcess {
     child: Child,
     port: u16,
 }
 
 impl Drop for NatsProcess {
     fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        self.kill();
     }
 }
 
 /// How long a server may take to start.
 const START: Duration = Duration::from_secs(20);
 
-fn start(program: &Path, folder: &Path) -> Result<Option<NatsProcess>, FarmBenchError> {
+impl NatsProcess {
+    /// The address of a farm on it.
+    pub fn address(&self, farm: &str) -> String {
+        format!("nats://127.0.0.1:{}/{farm}", self.port)
+    }
+
+    pub fn port(&self) -> u16 {
+        self.port
+    }
+
+    /// Ends it at once.
+    pub fn kill(&mut self) {
+        // One that has ended by itself is as good.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+
+    /// Starts a server on a port, or on any; `None` where there is no such program.
+    pub fn start(
+        program: &Path,
+        folder: &Path,
+        port: Option<u16>,
+    ) -> Result<Option<NatsProcess>, FarmBenchError> {
+        start(program, folder, port)
+    }
+}
+
+fn start(program: &Path, folder: &Path, port: Option<u16>) -> Result<Option<NatsProcess>, FarmBenchError> {
+    let port = port.map_or_else(|| "-1".to_owned(), |port| port.to_string());
     let io = |source| FarmBenchError::Io { path: folder.to_owned(), source };
     let ports = folder.join("ports");
+    if ports.exists() {
+        std::fs::remove_dir_all(&ports).map_err(io)?;
+    }
     std::fs::create_dir_all(&ports).map_err(io)?;
     let spawned = Command::new(program)
-        .args(["-a", "127.0.0.1", "-p", "-1", "-js", "-sd"])
+        .args(["-a", "127.0.0.1", "-p", &port, "-js", "-sd"])
         .arg(folder.join("store"))
         .arg("--ports_file_dir")
         .arg(&ports)
@@ -77,11 +107,11 @@ pub(super) fn log(program: &Path, folder: &Path, jobs: usize) -> Result<Option<L
         let removed = std::fs::remove_dir_all(folder);
         removed.map_err(|source| FarmBenchError::Io { path: folder.to_owned(), source })?;
     }
-    let Some(server) = start(program, folder)? else { return Ok(None) };
+    let Some(server) = NatsProcess::start(program, folder, None)? else { return Ok(None) };
     let version = Command::new(program).arg("--version").output().ok();
     let version = version.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
     let connect = |farm: &str| -> Result<NatsEngine, FarmBenchError> {
-        let address: FarmAddress = format!("nats://127.0.0.1:{}/{farm}", server.port).parse()?;
+        let address: FarmAddress = server.address(farm).parse()?;
         Ok(NatsEngine::connect(&address, &FarmAccess::default(), "bench", START)?)
     };
     let needs = Needs { cores: 1, memory_bytes: 1 << 30, accelerators: 0 };

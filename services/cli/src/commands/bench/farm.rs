@@ -21,6 +21,10 @@ pub fn command() -> Command {
         ))
         .arg(path("server", "The nats-server program [default: nats-server]"))
         .arg(number("jobs", "1000", "Jobs of the log that is measured").value_parser(whole()))
+        .arg(
+            number("kills", "40", "How often a part of a small farm is killed; 0: not at all")
+                .value_parser(value_parser!(u32)),
+        )
         .arg(number("scenes", "10000", "Simulated scenes").value_parser(whole()))
         .arg(number("machines", "200", "Simulated machines").value_parser(whole()))
         .arg(
@@ -40,6 +44,8 @@ pub fn farm(matches: &ArgMatches) -> Result<(), Failure> {
     let options = FarmBenchOptions {
         dir: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/farm")),
         server: path_of(matches, "server").unwrap_or_else(|| PathBuf::from("nats-server")),
+        program: std::env::current_exe()?,
+        kills: count("kills"),
         jobs: count("jobs"),
         scenes: count("scenes"),
         workers: count("machines"),
@@ -63,10 +69,21 @@ pub fn farm(matches: &ArgMatches) -> Result<(), Failure> {
             log.alone, log.four, log.joining[0], log.joining[1]
         ))?,
     }
+    if let Some(k) = &figures.kills {
+        print_line(&format!(
+            "{:?} killed: {} of {} scenes differ, {} completed twice, in {:.0} s",
+            k.killed, k.differing, k.farm[0], k.doubled, k.seconds[0]
+        ))?;
+    }
     if let Some(file) = path_of(matches, "page") {
         let made = Provenance::here(command_line());
         segwild_flow::files::write_plain(&file, page(&figures, &options, &made))
             .map_err(|e| Failure::cannot_write(&file, &e))?;
+    }
+    if let Some(k) = figures.kills.as_ref().filter(|k| k.differing + k.doubled > 0) {
+        let message =
+            format!("{} scenes differ after kills, {} were completed twice", k.differing, k.doubled);
+        return Err(Failure { message, code: exit::FAILED });
     }
     match figures.simulated.iter().find(|s| s.lost > 0 || s.doubled > 0) {
         None => Ok(()),
