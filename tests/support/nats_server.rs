@@ -47,7 +47,7 @@ impl NatsServer {
                 return Some(NatsServer { child, port, folder: folder.to_owned() });
             }
             assert!(began.elapsed() < Duration::from_secs(20), "the server does not start");
-            std::thread::sleep(Duration::from_millis(10));
+            std::thread::park_timeout(Duration::from_millis(10));
         }
     }
 

@@ -52,7 +52,7 @@ mod worker;
 
 pub use artefacts::{
     ArtefactDigest, ArtefactError, ArtefactSession, ArtefactStore, DigestError, FolderEntry, FolderLimits,
-    FolderManifest, JetStreamArtefacts, ObjectArtefacts,
+    FolderManifest, FolderManifestError, JetStreamArtefacts, ObjectArtefacts,
 };
 pub use batch::{BatchError, BatchFolder, BatchOptions, BatchRecord, BatchSummary};
 pub use clock::{JobClock, SimulatedClock, SystemClock};
@@ -67,7 +67,7 @@ pub use log::TransitionLog;
 pub use manifest::{
     BatchManifest, FolderTaken, ManifestError, ManifestFileError, MemorySizeError, SceneEntryError, SceneJob,
 };
-pub use nats::{FarmAccess, FarmAddress, FarmAddressError, FarmKey, NatsEngine, USUAL_PATIENCE};
+pub use nats::{FarmAccess, FarmAddress, FarmAddressError, FarmKey, NatsEngine, USUAL_PATIENCE, transitions};
 pub use submit::{FarmBatch, FarmBatchError};
 pub use table::{Decision, JobTable};
 pub use transition::Transition;

@@ -1,6 +1,6 @@
 //! A farm whose workers, server and batch are killed at random moments ends in the bytes of one machine.
 
-use super::FarmBenchError;
+use super::error::FarmBenchError;
 use super::server::NatsProcess;
 use segwild_farm::{ChangeKind, FarmAccess, JobEngine, NatsEngine};
 use segwild_scene::Random;

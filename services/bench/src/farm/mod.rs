@@ -1,17 +1,18 @@
 //! A farm of many machines: what its log costs on a real server, and how 10,000 scenes go through 200 simulated machines:
 //! `segwild bench farm`.
 
+mod error;
 mod kills;
 mod server;
 mod simulation;
 
+pub use self::error::FarmBenchError;
 pub use self::kills::KillFigures;
 pub use self::server::LogFigures;
 pub use self::simulation::{SimulatedFarm, SimulatedFigures};
 
 use segwild_eval::record::Provenance;
 use segwild_eval::stamp;
-use segwild_farm::{EngineError, FarmAddressError};
 use std::path::PathBuf;
 
 /// Scenes and workers of the farm whose parts are killed.
@@ -47,37 +48,6 @@ pub struct FarmFigures {
     pub kills: Option<KillFigures>,
     /// The simulated farms.
     pub simulated: Vec<SimulatedFigures>,
-}
-
-/// Why a farm cannot be measured.
-#[derive(Debug, thiserror::Error)]
-pub enum FarmBenchError {
-    /// The log could not serve.
-    #[error(transparent)]
-    Engine(#[from] EngineError),
-    /// The server's address makes no sense.
-    #[error(transparent)]
-    Address(#[from] FarmAddressError),
-    /// The server does not start.
-    #[error("{0} does not start")]
-    Server(PathBuf),
-    /// A file of the benchmark.
-    #[error("{path}: {source}")]
-    Io {
-        /// Which file.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
-    /// A scene could not be made or worked.
-    #[error("{0}")]
-    Scene(String),
-    /// A farm came to no end.
-    #[error("the farm came to no end within an hour")]
-    Stuck,
-    /// A thread of the benchmark panicked.
-    #[error("a machine of the benchmark panicked")]
-    Panicked,
 }
 
 /// Measures; `report` receives each simulated farm as soon as it is known.

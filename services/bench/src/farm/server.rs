@@ -1,6 +1,6 @@
 //! What a farm's log costs on a real server.
 
-use super::FarmBenchError;
+use super::error::FarmBenchError;
 use segwild_farm::{FarmAccess, FarmAddress, Job, JobEngine, NatsEngine, Needs, WorkerOffer};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};

@@ -122,12 +122,21 @@ enum Happening {
     Back,
 }
 
+/// Taken by time, then in the order in which they were planned.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Planned {
+    at_ms: u64,
+    number: u64,
+    machine: usize,
+    life: u32,
+    happening: Happening,
+}
+
 struct Farm {
     table: JobTable,
     scenes: Vec<Scene>,
     machines: Vec<Machine>,
-    /// By time, in milliseconds, then in the order in which they were planned.
-    events: BinaryHeap<Reverse<(u64, u64, usize, u32, Happening)>>,
+    events: BinaryHeap<Reverse<Planned>>,
     planned: u64,
     now: f64,
     random: Random,
@@ -195,14 +204,15 @@ impl SimulatedFarm {
 
 /// A few scenes are a little more urgent than others.
 fn farm_priority(i: usize) -> i32 {
-    i32::from(i % 7 == 0)
+    i32::from(i.is_multiple_of(7))
 }
 
 impl Farm {
     fn plan(&mut self, at: f64, machine: usize, happening: Happening) {
         self.planned += 1;
         let life = self.machines.get(machine).map_or(0, |m| m.life);
-        self.events.push(Reverse(((at * 1000.0) as u64, self.planned, machine, life, happening)));
+        let (at_ms, number) = ((at * 1000.0) as u64, self.planned);
+        self.events.push(Reverse(Planned { at_ms, number, machine, life, happening }));
     }
 
     fn plan_death(&mut self, machine: usize) {
@@ -240,8 +250,9 @@ impl Farm {
             table.jobs().any(|job| matches!(job.state, JobState::Pending | JobState::Leased))
         };
         let mut checked = 0.0;
-        while let Some(Reverse((at, _, machine, life, happening))) = self.events.pop() {
-            self.now = at as f64 / 1000.0;
+        while let Some(Reverse(planned)) = self.events.pop() {
+            let Planned { at_ms, machine, life, happening, .. } = planned;
+            self.now = at_ms as f64 / 1000.0;
             let is_void = self.machines.get(machine).is_some_and(|m| m.life != life);
             if is_void && !matches!(happening, Happening::Urgent | Happening::Back) {
                 continue;

@@ -34,6 +34,50 @@ impl Default for FolderLimits {
     }
 }
 
+/// Why a manifest is refused.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FolderManifestError {
+    /// Its text is too long.
+    #[error("its manifest has more than {0} bytes")]
+    Long(u64),
+    /// Its text is no manifest.
+    #[error("its manifest cannot be read: {0}")]
+    Text(String),
+    /// It is of another version.
+    #[error("it has format {0}, and this program knows format {FORMAT}")]
+    Format(u32),
+    /// It has too many files.
+    #[error("it has {found} files, more than {most}")]
+    Files {
+        /// How many.
+        found: usize,
+        /// How many it may have.
+        most: usize,
+    },
+    /// Its files are too large.
+    #[error("its files have {found} bytes, more than {most}")]
+    Bytes {
+        /// How many.
+        found: u64,
+        /// How many they may have.
+        most: u64,
+    },
+    /// A path is unfit.
+    #[error("the path `{path}` {reason}")]
+    Path {
+        /// As it is safe to show.
+        path: String,
+        /// What is wrong with it.
+        reason: &'static str,
+    },
+    /// A path is not after the one before it.
+    #[error("`{0}` is there twice, or out of order")]
+    Order(String),
+    /// A file is where a folder would have to be.
+    #[error("`{0}` lies in a file")]
+    InFile(String),
+}
+
 /// A file of a folder.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -85,12 +129,12 @@ impl FolderManifest {
     ///
     /// # Errors
     /// What is wrong with it: another format, a path that leads out of the folder, two files of one name, beyond the limits.
-    pub fn parse(json: &[u8], limits: &FolderLimits) -> Result<Self, String> {
+    pub fn parse(json: &[u8], limits: &FolderLimits) -> Result<Self, FolderManifestError> {
         if json.len() as u64 > limits.manifest_bytes {
-            return Err(format!("its manifest has more than {} bytes", limits.manifest_bytes));
+            return Err(FolderManifestError::Long(limits.manifest_bytes));
         }
         let manifest: Self =
-            serde_json::from_slice(json).map_err(|e| format!("its manifest cannot be read: {e}"))?;
+            serde_json::from_slice(json).map_err(|e| FolderManifestError::Text(e.to_string()))?;
         manifest.check(limits)?;
         Ok(manifest)
     }
@@ -99,36 +143,37 @@ impl FolderManifest {
     ///
     /// # Errors
     /// What is wrong with it.
-    pub fn check(&self, limits: &FolderLimits) -> Result<(), String> {
+    pub fn check(&self, limits: &FolderLimits) -> Result<(), FolderManifestError> {
         if self.format != FORMAT {
-            return Err(format!("it has format {}, and this program knows format {FORMAT}", self.format));
+            return Err(FolderManifestError::Format(self.format));
         }
         if self.files.len() > limits.files {
-            return Err(format!("it has {} files, more than {}", self.files.len(), limits.files));
+            return Err(FolderManifestError::Files { found: self.files.len(), most: limits.files });
         }
         let mut bytes = 0u64;
         for file in &self.files {
             fit(&file.path, limits.depth)
-                .map_err(|reason| format!("the path `{}` {reason}", one_line(&shortened(&file.path))))?;
+                .map_err(|reason| FolderManifestError::Path { path: shown(&file.path), reason })?;
             bytes = bytes.saturating_add(file.bytes);
         }
         if bytes > limits.bytes {
-            return Err(format!("its files have {bytes} bytes, more than {}", limits.bytes));
+            return Err(FolderManifestError::Bytes { found: bytes, most: limits.bytes });
         }
         if let Some(pair) = self.files.windows(2).find(|pair| pair[0].path >= pair[1].path) {
-            return Err(format!("`{}` is there twice, or out of order", one_line(&shortened(&pair[1].path))));
+            return Err(FolderManifestError::Order(shown(&pair[1].path)));
         }
         let paths: HashSet<&str> = self.files.iter().map(|file| file.path.as_str()).collect();
         let folders = |path: &str| path.match_indices('/').any(|(at, _)| paths.contains(&path[..at]));
         match self.files.iter().find(|file| folders(&file.path)) {
-            Some(file) => Err(format!("`{}` lies in a file", one_line(&shortened(&file.path)))),
+            Some(file) => Err(FolderManifestError::InFile(shown(&file.path))),
             None => Ok(()),
         }
     }
 }
 
-fn shortened(path: &str) -> String {
-    path.chars().take(120).collect()
+/// A path as it is safe to show.
+fn shown(path: &str) -> String {
+    one_line(&path.chars().take(120).collect::<String>()).into_owned()
 }
 
 /// Whether a path names a file in a folder, on every system.
@@ -158,7 +203,7 @@ mod tests {
 
     fn refusal(files: &[&str]) -> String {
         let manifest = FolderManifest::new(files.iter().map(|path| entry(path)).collect());
-        FolderManifest::parse(&manifest.to_json(), &FolderLimits::default()).unwrap_err()
+        FolderManifest::parse(&manifest.to_json(), &FolderLimits::default()).unwrap_err().to_string()
     }
 
     #[test]
@@ -194,7 +239,7 @@ mod tests {
     #[test]
     fn the_limits_hold() {
         let manifest = FolderManifest::new((0..5).map(|i| entry(&i.to_string())).collect());
-        let refused = |limits| manifest.check(&limits).unwrap_err();
+        let refused = |limits| manifest.check(&limits).unwrap_err().to_string();
         let limits = FolderLimits::default();
         assert!(refused(FolderLimits { files: 4, ..limits }).contains("5 files"));
         assert!(refused(FolderLimits { bytes: 49, ..limits }).contains("50 bytes"));

@@ -41,7 +41,7 @@ mod walk;
 pub use digest::{ArtefactDigest, DigestError};
 pub use error::ArtefactError;
 pub use jetstream::JetStreamArtefacts;
-pub use manifest::{FolderEntry, FolderLimits, FolderManifest};
+pub use manifest::{FolderEntry, FolderLimits, FolderManifest, FolderManifestError};
 pub use object::ObjectArtefacts;
 pub use session::ArtefactSession;
 pub use store::ArtefactStore;

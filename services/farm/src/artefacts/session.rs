@@ -154,7 +154,7 @@ impl ArtefactSession {
     ) -> Result<ArtefactDigest, ArtefactError> {
         let manifest = FolderManifest::new(entries);
         let unfit = |reason| ArtefactError::Unfit { path: folder.to_owned(), reason };
-        manifest.check(&self.limits).map_err(unfit)?;
+        manifest.check(&self.limits).map_err(|e| unfit(e.to_string()))?;
         let json = manifest.to_json();
         if json.len() as u64 > self.limits.manifest_bytes {
             return Err(unfit(format!("its list of files has {} bytes", json.len())));
@@ -181,7 +181,7 @@ impl ArtefactSession {
         let _ = std::fs::remove_file(&file);
         let refused = |reason| ArtefactError::Manifest { digest: *digest, reason };
         let json = read.map_err(|e| refused(format!("its manifest cannot be read: {e}")))?;
-        FolderManifest::parse(&json, &self.limits).map_err(refused)
+        FolderManifest::parse(&json, &self.limits).map_err(|e| refused(e.to_string()))
     }
 
     pub(super) fn fetch_files(&self, entries: &[FolderEntry], into: &Path) -> Result<(), ArtefactError> {

@@ -454,6 +454,11 @@ impl TransitionLog for NatsEngine {
     }
 }
 
+/// What a record of a farm's log says, for programs that read one; `None` where it is void, or a newer version's.
+pub fn transitions(record: &[u8], farm: &str, key: Option<&FarmKey>) -> Option<Vec<Transition>> {
+    Some(Record::decode(record, farm, key).1.ok()?.transitions)
+}
+
 /// Waits for a future of the runtime, from a thread that is none of its own.
 fn wait<T: Send + 'static>(
     runtime: &tokio::runtime::Runtime,

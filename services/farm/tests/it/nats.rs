@@ -31,7 +31,7 @@ struct There {
 }
 
 impl Site for There {
-    fn engine_at(&self) -> Box<dyn JobEngine> {
+    fn engine(&self) -> Box<dyn JobEngine> {
         Box::new(engine_at(&self.server, &self.name))
     }
     fn pass(&self, seconds: f64) {
@@ -76,7 +76,7 @@ fn a_lease_ends_by_the_servers_clock() {
         if let Some(heir) = second.claim(&offer("second", 60.0)).unwrap() {
             break heir;
         }
-        std::thread::sleep(Duration::from_millis(20));
+        std::thread::park_timeout(Duration::from_millis(20));
     };
     // The lease, and the rest after it.
     assert!(began.elapsed() > Duration::from_millis(1400), "{:?}", began.elapsed());
@@ -106,12 +106,12 @@ fn a_server_that_is_killed_again_and_again_loses_and_doubles_nothing() {
                     let outcome = format!("{} by {name}", lease.job.id);
                     assert_eq!(engine.complete(&lease, &outcome).unwrap(), Completed::Now);
                     done.fetch_add(1, Ordering::Relaxed);
-                    std::thread::sleep(Duration::from_millis(20));
+                    std::thread::park_timeout(Duration::from_millis(20));
                 }
             });
         }
         for _ in 0..4 {
-            std::thread::sleep(Duration::from_millis(120));
+            std::thread::park_timeout(Duration::from_millis(120));
             server.kill();
             server.restart();
         }

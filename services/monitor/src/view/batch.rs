@@ -6,9 +6,10 @@ use std::path::PathBuf;
 use segwild_farm::{BatchFolder, ChangeKind, Job, JobEngine, JobState, JobStatus, Needs, SceneJob, turns};
 use serde::{Deserialize, Serialize};
 
+use super::farm::FarmTarget;
 use super::folder::{ViewError, name_of};
 use super::scene::{SceneState, SceneView};
-use super::{Disk, FarmTarget, Runs};
+use super::{Disk, Runs};
 use crate::why;
 
 /// A batch, as it is or as it was left.

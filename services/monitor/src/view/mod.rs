@@ -3,22 +3,22 @@
 //! Whatever shows something to an operator shows this, so that no two displays disagree.
 
 mod batch;
+mod farm;
 mod folder;
 mod run;
 mod runs;
 mod scene;
 mod stage;
 
-use std::fmt;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use segwild_farm::{BatchFolder, JobEngine};
+use segwild_farm::BatchFolder;
 use serde::{Deserialize, Serialize};
 
 pub use crate::disk::Disk;
 pub use batch::BatchView;
+pub use farm::FarmTarget;
 pub use folder::ViewError;
 pub use run::{LoggedEvent, MailboxView, PhotoFailure, RunState, RunView, STALE_S, SelectionView};
 pub use runs::Runs;
@@ -34,21 +34,6 @@ pub enum MonitorTarget {
     Batch(BatchFolder),
     /// A farm: all its scenes, whoever works on them.
     Farm(FarmTarget),
-}
-
-/// A farm that is shown.
-#[derive(Clone)]
-pub struct FarmTarget {
-    /// Its address, for people.
-    pub name: String,
-    /// Its jobs.
-    pub engine: Arc<dyn JobEngine>,
-}
-
-impl fmt::Debug for FarmTarget {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "FarmTarget({})", self.name)
-    }
 }
 
 impl MonitorTarget {

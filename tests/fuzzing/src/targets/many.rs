@@ -2,7 +2,12 @@
 
 use crate::yard::{folder, put, take};
 use crate::{FuzzTarget, seal, seeds};
-use segwild_farm::{BatchManifest, EmbeddedEngine, ErrorClass, Job, JobEngine, Needs, WorkerOffer};
+use prost::Message;
+use segwild_farm::{
+    BatchManifest, EmbeddedEngine, ErrorClass, FarmScene, FolderLimits, FolderManifest, Job, JobEngine,
+    JobTable, Needs, WorkerOffer, transitions,
+};
+use segwild_proto::v1;
 
 pub(super) const MANIFEST: FuzzTarget = FuzzTarget {
     name: "manifest_toml",
@@ -80,6 +85,65 @@ pub(super) const BATCH: FuzzTarget = FuzzTarget {
         super::run_files::open_all(&folder);
         if let Ok(engine) = EmbeddedEngine::open(&file) {
             let _ = (engine.release(None, "fuzzed"), engine.jobs(), engine.watch(0, 100), engine.jumps());
+        }
+    },
+};
+
+/// A digest, as text.
+const DIGEST: &str = "abababababababababababababababababababababababababababababababab";
+
+pub(super) const FARM_RECORD: FuzzTarget = FuzzTarget {
+    name: "farm_record",
+    seeds: || {
+        use v1::job_transition::Change;
+        let job = || "night/a".to_owned();
+        let payload = format!("{{\"photos\": \"{DIGEST}\", \"settings\": {{\"size\": \"96\"}}}}");
+        let published = v1::FarmJob { id: job(), payload, attempts: 3, cores: 1, ..v1::FarmJob::default() };
+        let changes = [
+            Change::Published(published),
+            Change::Claimed(v1::JobClaimed { job: job(), worker: "w".into(), lease_s: 60.0 }),
+            Change::Waited(v1::JobWaited { job: job(), reason: Some("in use".into()) }),
+            Change::Stored(v1::JobStored { job: job(), checkpoint: DIGEST.into() }),
+            Change::ClockSet(v1::ClockSet { seconds: -5.0, since: 3 }),
+            Change::Failed(v1::JobFailed { job: job(), class: 1, error: "no luck".into() }),
+            Change::Expired(v1::JobNamed { job: job() }),
+        ];
+        let transitions = changes.map(|change| v1::JobTransition { change: Some(change) }).to_vec();
+        let (id, writer) = ("2".into(), "w".into());
+        let record =
+            v1::FarmRecord { id, after: "1".into(), transitions, writer, ..v1::FarmRecord::default() };
+        vec![record.encode_to_vec()]
+    },
+    words: &["night/../a", "onnxruntime", "\u{ff}\u{ff}\u{ff}\u{7f}"],
+    seal: seal::nothing,
+    read: |bytes| {
+        let mut table = JobTable::default();
+        for (i, transition) in transitions(bytes, "farm", None).unwrap_or_default().iter().enumerate() {
+            table.apply(transition, 1e9 + i as f64, i as u64);
+        }
+        for status in table.jobs() {
+            let _ = FarmScene::of_job(&status.job);
+        }
+        let everything = Needs { cores: u32::MAX, memory_bytes: u64::MAX, accelerators: u32::MAX };
+        drop(table.claim(&WorkerOffer::all("w", everything, 60.0), 2e9));
+    },
+};
+
+pub(super) const FARM_FOLDER: FuzzTarget = FuzzTarget {
+    name: "farm_folder",
+    seeds: || {
+        let entry = |path: &str| format!("{{\"path\": \"{path}\", \"digest\": \"{DIGEST}\", \"bytes\": 5}}");
+        let files = [entry("images/a.jpg"), entry("sparse/0/images.bin")].join(", ");
+        vec![format!("{{\"format\": 1, \"files\": [{files}]}}").into_bytes()]
+    },
+    words: &["../", "/etc/passwd", "C:\\\\", "con.txt", "\\u0000", "18446744073709551615"],
+    seal: seal::nothing,
+    read: |bytes| {
+        let Ok(manifest) = FolderManifest::parse(bytes, &FolderLimits::default()) else { return };
+        for file in manifest.files() {
+            let inside = !file.path.starts_with('/')
+                && file.path.split('/').all(|part| !matches!(part, "" | "." | ".."));
+            assert!(inside, "{}", file.path);
         }
     },
 };

@@ -45,6 +45,8 @@ pub const TARGETS: &[FuzzTarget] = &[
     records::CACHED_EMBEDDING,
     many::MANIFEST,
     many::BATCH,
+    many::FARM_RECORD,
+    many::FARM_FOLDER,
     networks::ONNX,
     server::REQUEST,
     vision::CALL,
