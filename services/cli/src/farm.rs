@@ -41,7 +41,7 @@ pub fn farm_args(command: Command, help: &'static str) -> Command {
 }
 
 /// A farm that was reached.
-pub struct Farm {
+pub struct ReachedFarm {
     /// Its jobs.
     pub engine: Arc<NatsEngine>,
     /// Its artefacts.
@@ -68,13 +68,13 @@ pub fn connect(matches: &ArgMatches, writer: &str) -> Result<Option<Arc<NatsEngi
 }
 
 /// Reaches the farm of the flags and its artefacts; `None` where there is none.
-pub fn reach(matches: &ArgMatches, writer: &str) -> Result<Option<Farm>, Failure> {
+pub fn reach(matches: &ArgMatches, writer: &str) -> Result<Option<ReachedFarm>, Failure> {
     let Some(engine) = connect(matches, writer)? else { return Ok(None) };
     let store: Arc<dyn ArtefactStore> = match matches.get_one::<String>("artefacts") {
         Some(store) => Arc::new(ObjectArtefacts::open(store)?),
         None => Arc::new(engine.artefacts()?),
     };
-    Ok(Some(Farm { engine, artefacts: ArtefactSession::new(store) }))
+    Ok(Some(ReachedFarm { engine, artefacts: ArtefactSession::new(store) }))
 }
 
 /// A farm as `status`, `top` and `/metrics` show it.

@@ -111,13 +111,14 @@ const LEASE_S: f64 = 2.0;
 const REST_S: f64 = 1.0;
 
 /// The suite.
-pub const CHECKS: [ConformanceCheck; 26] = [
+pub const CHECKS: [ConformanceCheck; 27] = [
     ("publishing twice is publishing once", publishing_twice),
     ("another payload starts again, but not under a worker's hands", another_payload),
     ("the most urgent job goes first, equals in order", urgency),
     ("a job that does not fit is left for a worker that has the capacity", fitting),
     ("a job that wants an accelerator by name is left for who has that one", named_accelerator),
     ("what a more urgent job waits for is not given to a less urgent one", reserving_capacity),
+    ("one worker gets free for a more urgent job, and the others go on", kept_by_one),
     ("no job is given to two workers", one_worker_per_job),
     ("a heartbeat holds a lease beyond its time", heartbeat_holds),
     ("a silent worker loses its lease, and the next attempt has a higher fence", silence),
@@ -282,6 +283,31 @@ fn reserving_capacity(site: &dyn Site) -> Result<(), ConformanceFailure> {
     expect("with both free", claim(2)?.as_deref(), Some("both"))?;
     // What this worker could never take holds nobody up.
     expect("with one free again", claim(1)?.as_deref(), Some("one"))
+}
+
+fn kept_by_one(site: &dyn Site) -> Result<(), ConformanceFailure> {
+    let engine = site.engine();
+    let whole = Needs { accelerators: 2, ..offer("w").free };
+    let with = |id: &str, priority, accelerators| {
+        let needs = Needs { accelerators, ..job(id).needs };
+        Job { priority, needs, ..job(id) }
+    };
+    for job in [with("both", 9, 2), with("one", 1, 1), with("another", 1, 1)] {
+        engine.publish(&job)?;
+    }
+    let claim = |worker: &str, accelerators| {
+        let free = Needs { accelerators, ..whole };
+        let lease = site.engine().claim(&WorkerOffer { free, whole, ..offer(worker) })?;
+        Ok::<_, ConformanceFailure>(lease.map(|lease| lease.job.id))
+    };
+    expect("who keeps one accelerator free", claim("w", 1)?, None)?;
+    expect("another worker", claim("v", 1)?.as_deref(), Some("one"))?;
+    expect("who keeps it, still", claim("w", 1)?, None)?;
+    // It fell silent: somebody else gets free for the job.
+    site.pass(3600.0);
+    expect("another worker, later", claim("v", 1)?, None)?;
+    expect("who kept it before", claim("w", 1)?.as_deref(), Some("another"))?;
+    expect("who is free", claim("v", 2)?.as_deref(), Some("both"))
 }
 
 fn one_worker_per_job(site: &dyn Site) -> Result<(), ConformanceFailure> {

@@ -48,11 +48,11 @@ const COLUMNS: &str = "id, payload, priority, cores, memory_bytes, accelerators,
 /// makes a few a minute.
 pub struct EmbeddedEngine {
     path: PathBuf,
-    store: Mutex<Store>,
+    store: Mutex<JobStore>,
     clock: Arc<dyn JobClock>,
 }
 
-struct Store {
+struct JobStore {
     connection: Connection,
     /// The table as this handle last saw it, and the file's version then.
     seen: Option<(i64, JobTable)>,
@@ -117,7 +117,7 @@ impl EmbeddedEngine {
         if found != VERSION {
             return Err(EngineError::Version { path, found, known: VERSION });
         }
-        Ok(Self { path, store: Mutex::new(Store { connection, seen: None, jumped: Vec::new() }), clock })
+        Ok(Self { path, store: Mutex::new(JobStore { connection, seen: None, jumped: Vec::new() }), clock })
     }
 
     fn read<T>(&self, query: impl FnOnce(&Connection) -> rusqlite::Result<T>) -> Result<T, EngineError> {
@@ -242,7 +242,7 @@ fn load(c: &Connection) -> rusqlite::Result<JobTable> {
             (status.checkpoint, status.job.accelerator, status.silences) =
                 additions.remove(&status.job.id).unwrap_or_default();
             let waits = waits.remove(&status.job.id);
-            Ok((row.get::<_, i64>(20)?.max(0) as u64, Entry { status, waits, timed_by: 0 }))
+            Ok((row.get::<_, i64>(20)?.max(0) as u64, Entry { status, waits, kept: None, timed_by: 0 }))
         })?
         .collect::<rusqlite::Result<_>>()?;
     let revision: i64 =

@@ -19,6 +19,9 @@ use crate::turn::TurnQueue;
 /// The clocks may disagree by so many seconds: they are not read at the same instant, and are tuned while they run.
 pub(crate) const CLOCK_SLACK_S: f64 = 1.0;
 
+/// A worker that keeps capacity free for a job says so again before so many seconds are over; else another one may.
+const KEEP_S: f64 = 300.0;
+
 /// What is to be appended to the log, and what is answered once it is.
 #[derive(Debug)]
 pub struct Decision<A> {
@@ -44,6 +47,9 @@ pub(crate) struct Entry {
     pub status: JobStatus,
     /// Why who holds it cannot start yet.
     pub waits: Option<String>,
+    /// The worker that keeps its capacity free for it, and until when.
+    #[serde(default)]
+    pub kept: Option<(String, f64)>,
     /// The record that set the times to come.
     pub timed_by: u64,
 }
@@ -199,15 +205,28 @@ impl JobTable {
         let has_it = |job: &Job| job.accelerator.is_none() || job.accelerator == offer.accelerator;
         let could_start = |job: &&JobStatus| job.due <= now && has_it(&job.job);
         let waiting = self.queue.iter().filter_map(|(_, rank)| Some(&self.entries.get(rank)?.status));
-        let mut turns = TurnQueue::new(&offer.free, &offer.whole);
-        let mut job = None;
+        let mut turns = TurnQueue::new(&offer.free);
+        // What this worker could still keep free.
+        let (mut job, mut keeps) = (None, offer.whole);
         for status in waiting.filter(could_start) {
             // One that must be alone needs the whole worker.
             let all = status.must_be_alone() && status.job.needs.fit(&offer.whole);
             let needs = if all { offer.whole } else { status.job.needs };
-            if turns.turn(&status.job.id, status.job.priority, &needs).fits {
+            if turns.turn(status.job.priority, &needs).fits {
                 job = Some(status.job.id.clone());
                 break;
+            }
+            let kept = self.entry(&status.job.id).and_then(|entry| entry.kept.as_ref());
+            let kept = kept.filter(|(_, until)| *until > now);
+            if !needs.fit(&keeps) || kept.is_some_and(|(worker, _)| *worker != offer.worker) {
+                // Another worker gets free for it: one is enough.
+                continue;
+            }
+            keeps = needs.taken_from(&keeps);
+            turns.keep(&status.job.id, &needs);
+            if kept.is_none_or(|(_, until)| *until < now + KEEP_S / 2.0) {
+                let (job, worker) = (status.job.id.clone(), offer.worker.clone());
+                transitions.push(Transition::Kept { job, worker, keep_s: KEEP_S });
             }
         }
         if let Some(job) = &job {
@@ -369,6 +388,9 @@ impl JobTable {
     }
 
     fn move_times(&mut self, seconds: f64, since: u64) {
+        for (_, until) in self.entries.values_mut().filter_map(|entry| entry.kept.as_mut()) {
+            *until += seconds;
+        }
         for entry in self.entries.values_mut().filter(|entry| entry.timed_by < since) {
             let status = &mut entry.status;
             match status.state {
@@ -401,7 +423,7 @@ impl Entry {
             checkpoint: None,
             silences: 0,
         };
-        Self { status, waits: None, timed_by: record }
+        Self { status, waits: None, kept: None, timed_by: record }
     }
 
     /// Follows a transition, and says what of it is reported.
@@ -416,7 +438,11 @@ impl Entry {
                 self.status.checkpoint = Some(checkpoint.clone());
                 return Vec::new();
             }
-            _ => self.timed_by = record,
+            Transition::Kept { worker, keep_s, .. } => {
+                self.kept = Some((worker.clone(), now + keep_s));
+                return Vec::new();
+            }
+            _ => (self.timed_by, self.kept) = (record, None),
         }
         match transition {
             Transition::Claimed { worker, lease_s, .. } => {
@@ -463,6 +489,7 @@ impl Entry {
             | Transition::Withdrawn { .. }
             | Transition::Waited { .. }
             | Transition::Stored { .. }
+            | Transition::Kept { .. }
             | Transition::ClockSet { .. }
             | Transition::TimesMoved { .. } => Vec::new(),
         }

@@ -80,6 +80,15 @@ pub enum Transition {
         /// The artefact that holds the copy.
         checkpoint: String,
     },
+    /// A worker keeps capacity free for a job, so that no other one needs to.
+    Kept {
+        /// The job.
+        job: String,
+        /// The worker.
+        worker: String,
+        /// For how long, in seconds.
+        keep_s: f64,
+    },
     /// The wall clock was set while no time passed: all times to come move along.
     ClockSet {
         /// By how much, in seconds; back is negative.
@@ -116,6 +125,7 @@ impl Transition {
             | Self::Withdrawn { job }
             | Self::Waited { job, .. }
             | Self::Stored { job, .. }
+            | Self::Kept { job, .. }
             | Self::RestEnded { job } => Some(job),
             Self::ClockSet { .. } | Self::TimesMoved { .. } => None,
         }

@@ -33,13 +33,19 @@ pub struct JobTurn<'a> {
 /// assert_eq!(turns[1].kept_for, Some("urgent"));
 /// ```
 pub fn turns<'a>(waiting: &[&'a Job], free: &Needs, whole: &Needs) -> Vec<JobTurn<'a>> {
-    let mut queue = TurnQueue::new(free, whole);
-    waiting.iter().map(|job| queue.turn(&job.id, job.priority, &job.needs)).collect()
+    let mut queue = TurnQueue::new(free);
+    let turn = |job: &&'a Job| {
+        let turn = queue.turn(job.priority, &job.needs);
+        if !turn.fits && job.needs.fit(whole) {
+            queue.keep(&job.id, &job.needs);
+        }
+        turn
+    };
+    waiting.iter().map(turn).collect()
 }
 
 /// The state of [`turns`] on its way through the queue.
 pub(crate) struct TurnQueue<'a> {
-    whole: Needs,
     /// For jobs of the present priority, and for those after it.
     here: JobTurn<'a>,
     below: JobTurn<'a>,
@@ -47,21 +53,22 @@ pub(crate) struct TurnQueue<'a> {
 }
 
 impl<'a> TurnQueue<'a> {
-    pub fn new(free: &Needs, whole: &Needs) -> Self {
+    pub fn new(free: &Needs) -> Self {
         let here = JobTurn { free: *free, fits: false, kept_for: None };
-        Self { whole: *whole, here, below: here, priority: i32::MAX }
+        Self { here, below: here, priority: i32::MAX }
     }
 
     /// The turn of the next job.
-    pub fn turn(&mut self, id: &'a str, priority: i32, needs: &Needs) -> JobTurn<'a> {
+    pub fn turn(&mut self, priority: i32, needs: &Needs) -> JobTurn<'a> {
         if priority < self.priority {
             (self.here, self.priority) = (self.below, priority);
         }
-        let turn = JobTurn { fits: needs.fit(&self.here.free), ..self.here };
-        if !turn.fits && needs.fit(&self.whole) {
-            self.below.free = needs.taken_from(&self.below.free);
-            self.below.kept_for = self.below.kept_for.or(Some(id));
-        }
-        turn
+        JobTurn { fits: needs.fit(&self.here.free), ..self.here }
+    }
+
+    /// Keeps what a job needs free of less urgent ones.
+    pub fn keep(&mut self, id: &'a str, needs: &Needs) {
+        self.below.free = needs.taken_from(&self.below.free);
+        self.below.kept_for = self.below.kept_for.or(Some(id));
     }
 }

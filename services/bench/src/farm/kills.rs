@@ -3,6 +3,7 @@
 use super::error::FarmBenchError;
 use super::server::NatsProcess;
 use segwild_farm::{ChangeKind, FarmAccess, JobEngine, NatsEngine};
+use segwild_flow::files;
 use segwild_scene::Random;
 use segwild_synthetic::{LightVariation, SyntheticOptions, generate};
 use serde::{Deserialize, Serialize};
@@ -42,14 +43,14 @@ pub struct KillFigures {
 }
 
 /// What the farm consists of.
-struct Site<'a> {
+struct KilledFarm<'a> {
     program: &'a Path,
     dir: PathBuf,
     address: String,
     manifest: PathBuf,
 }
 
-impl Site<'_> {
+impl KilledFarm<'_> {
     fn worker(&self, folder: &str) -> std::io::Result<Child> {
         let mut command = Command::new(self.program);
         command.args(["worker", "--engine", &self.address, "--needs", "cores=1,memory=2"]);
@@ -115,8 +116,8 @@ pub(super) fn kills(
             + &scenes.collect::<String>()
     };
     let [one, all] = ["one.toml", "all.toml"].map(|name| dir.join(name));
-    std::fs::write(&one, manifest(1)).map_err(io)?;
-    std::fs::write(&all, manifest(farm[0])).map_err(io)?;
+    files::write_plain(&one, manifest(1)).map_err(io)?;
+    files::write_plain(&all, manifest(farm[0])).map_err(io)?;
     let began = Instant::now();
     let mut alone = Command::new(program);
     let alone = quiet(alone.arg("batch").arg(&one).arg("--out").arg(dir.join("one"))).status().map_err(io)?;
@@ -127,7 +128,7 @@ pub(super) fn kills(
     let alone_s = began.elapsed().as_secs_f64();
 
     let address = queue.address("kills");
-    let site = Site { program, dir: dir.to_owned(), address, manifest: all };
+    let site = KilledFarm { program, dir: dir.to_owned(), address, manifest: all };
     let mut random = Random::new(0x5e97);
     let mut workers = Children(Vec::new());
     for w in 0..farm[1] {

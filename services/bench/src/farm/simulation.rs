@@ -77,7 +77,7 @@ enum Nature {
     Poison,
 }
 
-struct Scene {
+struct SimulatedScene {
     nature: Nature,
     /// In core seconds.
     work: f64,
@@ -132,9 +132,9 @@ struct Planned {
     happening: Happening,
 }
 
-struct Farm {
+struct FarmState {
     table: JobTable,
-    scenes: Vec<Scene>,
+    scenes: Vec<SimulatedScene>,
     machines: Vec<Machine>,
     events: BinaryHeap<Reverse<Planned>>,
     planned: u64,
@@ -161,7 +161,7 @@ impl SimulatedFarm {
                 Machine { whole, life: 0, running: Vec::new() }
             })
             .collect();
-        let mut farm = Farm {
+        let mut farm = FarmState {
             table: JobTable::default(),
             scenes: Vec::new(),
             machines,
@@ -207,7 +207,7 @@ fn farm_priority(i: usize) -> i32 {
     i32::from(i.is_multiple_of(7))
 }
 
-impl Farm {
+impl FarmState {
     fn plan(&mut self, at: f64, machine: usize, happening: Happening) {
         self.planned += 1;
         let life = self.machines.get(machine).map_or(0, |m| m.life);
@@ -238,7 +238,7 @@ impl Farm {
     fn hand_in(&mut self, nature: Nature, cores: u32, priority: i32) -> usize {
         let work = 1800.0 * f64::from(self.random.normal() * 0.6).exp();
         let i = self.scenes.len();
-        self.scenes.push(Scene { nature, work, stored: 0.0, attempts: 0, completed: 0 });
+        self.scenes.push(SimulatedScene { nature, work, stored: 0.0, attempts: 0, completed: 0 });
         let needs = Needs { cores, memory_bytes: u64::from(cores) << 32, accelerators: 0 };
         let job = Job { priority, retry: Retry::default(), ..Job::new(format!("{i:05}"), "{}", needs) };
         self.append(self.table.publish(&job));

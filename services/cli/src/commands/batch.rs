@@ -3,7 +3,7 @@
 use crate::args::path_of;
 use crate::exit;
 use crate::failure::{Failure, plain};
-use crate::farm::{Farm, farm_args, reach, shown};
+use crate::farm::{ReachedFarm, farm_args, reach, shown};
 use crate::operators::{have_files_to_open, listen, listen_args};
 use crate::output::{print_json, print_line};
 use crate::progress::{duration, on_ctrl_c};
@@ -84,7 +84,7 @@ pub fn batch(matches: &ArgMatches) -> Result<(), Failure> {
         retry_dead: matches.get_flag("retry-dead"),
         until: matches.get_one::<Until>("until").copied(),
     };
-    let mut shown = Shown::new(json);
+    let mut shown = BatchOutput::new(json);
     let summary = batch::run(&manifest, &out, &options, &mut |event| shown.show(event))?;
     if summary.interrupted {
         shown.summary(&summary, &out)?;
@@ -95,7 +95,7 @@ pub fn batch(matches: &ArgMatches) -> Result<(), Failure> {
 }
 
 /// Hands the scenes to a farm and watches them.
-fn on_farm(matches: &ArgMatches, farm: &Farm, manifest: &Path, out: &Path) -> Result<(), Failure> {
+fn on_farm(matches: &ArgMatches, farm: &ReachedFarm, manifest: &Path, out: &Path) -> Result<(), Failure> {
     let _server = listen(matches, shown(&farm.engine), matches.get_flag("metrics-per-scene"))?;
     let stop = StopBatch::default();
     let flags = stop.clone();
@@ -112,7 +112,7 @@ fn on_farm(matches: &ArgMatches, farm: &Farm, manifest: &Path, out: &Path) -> Re
         stop,
     };
     let until = matches.get_one::<Until>("until").copied();
-    let mut events = Shown::new(matches.get_flag("json"));
+    let mut events = BatchOutput::new(matches.get_flag("json"));
     batch.submit(manifest, until, matches.get_flag("retry-dead"), &mut |event| events.show(event))?;
     if matches.get_flag("no-wait") {
         return Ok(());
@@ -127,12 +127,12 @@ fn on_farm(matches: &ArgMatches, farm: &Farm, manifest: &Path, out: &Path) -> Re
 }
 
 /// Where events and the summary go.
-struct Shown {
+struct BatchOutput {
     json: bool,
     report: Result<(), Failure>,
 }
 
-impl Shown {
+impl BatchOutput {
     fn new(json: bool) -> Self {
         Self { json, report: Ok(()) }
     }

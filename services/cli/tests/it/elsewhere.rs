@@ -40,7 +40,7 @@ fn a_stopped_run_goes_on_elsewhere_from_its_checkpoint_to_the_same_bytes() {
 }
 
 #[test]
-fn a_run_that_is_killed_between_two_copies_goes_on_elsewhere_to_the_same_bytes() {
+fn a_run_that_is_killed_after_a_copy_goes_on_elsewhere_to_the_same_bytes() {
     let dir = folder();
     let (run, straight) = (dir.path().join("run"), dir.path().join("straight"));
     let longer = ["--steps", "800", "--checkpoint-every", "1"];

@@ -1,4 +1,4 @@
-//! Calls of async clients from threads that run no async task.
+//! StoreCalls of async clients from threads that run no async task.
 
 use std::sync::mpsc;
 
@@ -6,7 +6,7 @@ use tokio::runtime::{Builder, Handle, Runtime};
 
 /// A runtime for the client of a store: its own, or one that its caller keeps.
 #[derive(Debug)]
-pub(super) struct Calls {
+pub(super) struct StoreCalls {
     handle: Handle,
     own: Option<Runtime>,
 }
@@ -25,7 +25,7 @@ impl<T> Pending<T> {
     }
 }
 
-impl Calls {
+impl StoreCalls {
     /// With threads of its own.
     pub fn own() -> std::io::Result<Self> {
         let runtime =
@@ -52,7 +52,7 @@ impl Calls {
     }
 }
 
-impl Drop for Calls {
+impl Drop for StoreCalls {
     fn drop(&mut self) {
         // Waiting for it would panic where the last user is an async task.
         if let Some(runtime) = self.own.take() {

@@ -12,7 +12,7 @@ use tokio::io::{AsyncRead, AsyncReadExt, ReadBuf};
 use tokio::runtime::Handle;
 use tokio::sync::mpsc;
 
-use super::calls::Calls;
+use super::calls::StoreCalls;
 use super::digest::ArtefactDigest;
 use super::error::ArtefactError;
 use super::store::ArtefactStore;
@@ -29,7 +29,7 @@ const SILENCE: Duration = Duration::from_secs(60);
 pub struct JetStreamArtefacts {
     name: String,
     bucket: ObjectStore,
-    calls: Calls,
+    calls: StoreCalls,
 }
 
 impl std::fmt::Debug for JetStreamArtefacts {
@@ -47,7 +47,7 @@ impl JetStreamArtefacts {
     /// # Errors
     /// When the server cannot be reached or refuses the bucket.
     pub fn open(context: jetstream::Context, bucket: &str, runtime: Handle) -> Result<Self, ArtefactError> {
-        let calls = Calls::on(runtime);
+        let calls = StoreCalls::on(runtime);
         let name = format!("the bucket {bucket} of JetStream");
         let wanted = bucket.to_owned();
         let opened = calls.wait(async move {

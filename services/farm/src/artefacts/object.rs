@@ -10,7 +10,7 @@ use object_store::local::LocalFileSystem;
 use object_store::path::Path;
 use object_store::{MultipartUpload, ObjectStore, ObjectStoreExt, PutMode, PutPayload};
 
-use super::calls::{Calls, ShutDown};
+use super::calls::{ShutDown, StoreCalls};
 use super::digest::ArtefactDigest;
 use super::error::ArtefactError;
 use super::http::HyperConnector;
@@ -38,7 +38,7 @@ pub struct ObjectArtefacts {
     name: String,
     store: Arc<dyn ObjectStore>,
     prefix: Path,
-    calls: Calls,
+    calls: StoreCalls,
 }
 
 impl ObjectArtefacts {
@@ -66,7 +66,7 @@ impl ObjectArtefacts {
             None if address.is_empty() => return Err(wrong("it is empty".into())),
             None => (folder_at(address, &wrong)?, Path::default()),
         };
-        let calls = Calls::own().map_err(|e| wrong(format!("no thread can be started: {e}")))?;
+        let calls = StoreCalls::own().map_err(|e| wrong(format!("no thread can be started: {e}")))?;
         Ok(Self { name: address.to_owned(), store, prefix, calls })
     }
 

@@ -11,7 +11,7 @@ use super::digest::ArtefactDigest;
 use super::error::ArtefactError;
 use super::manifest::FolderEntry;
 use super::session::{ArtefactSession, Gone};
-use super::walk::{self, Found};
+use super::walk::{self, FoundFile};
 
 /// The ledger's name in a run folder. It lies on a local disk: what is copied is never the file that SQLite works on.
 const LEDGER: &str = "run.sqlite";
@@ -61,14 +61,14 @@ impl Drop for Aside {
 }
 
 /// Copies a file that grows, as long as it is now.
-fn copy_of_growing(found: &Found, to: PathBuf) -> Result<Found, ArtefactError> {
+fn copy_of_growing(found: &FoundFile, to: PathBuf) -> Result<FoundFile, ArtefactError> {
     let failed = |e| FileError::new("read", &found.source, e);
     let file = files::open_plain(&found.source).map_err(failed)?;
     let length = file.metadata().map_err(failed)?.len();
     files::write_with(&to, |copy| {
         std::io::copy(&mut file.take(length), copy).map(|_| ()).map_err(|e| FileError::new("copy", &to, e))
     })?;
-    Ok(Found { path: found.path.clone(), source: to })
+    Ok(FoundFile { path: found.path.clone(), source: to })
 }
 
 /// A copy of the ledger, and the checkpoints that it names with their digests. Those that are there are held before the
@@ -77,7 +77,7 @@ fn held_ledger(
     ledger: &Ledger,
     run: &Path,
     aside: &Aside,
-) -> Result<(Found, Vec<(Found, ArtefactDigest)>), ArtefactError> {
+) -> Result<(FoundFile, Vec<(FoundFile, ArtefactDigest)>), ArtefactError> {
     let mut tries = 1;
     loop {
         let links = aside.0.join(format!("checkpoints{tries}"));
@@ -95,7 +95,7 @@ fn held_ledger(
             let (true, Ok(digest)) = (files::name::is_plain(&row.file), row.digest.parse()) else { continue };
             let path = format!("{CHECKPOINTS}/{}", row.file);
             match hold_file(&folder.join(&row.file), &links.join(&row.file)) {
-                Some(source) => held.push((Found { path, source }, digest)),
+                Some(source) => held.push((FoundFile { path, source }, digest)),
                 None => missing = Some(path),
             }
         }
@@ -104,7 +104,7 @@ fn held_ledger(
             tracing::warn!("{}: its ledger names a checkpoint that is not there: {path}", run.display());
         }
         if missing.is_none() || tries == TRIES {
-            return Ok((Found { path: LEDGER.into(), source: copy }, held));
+            return Ok((FoundFile { path: LEDGER.into(), source: copy }, held));
         }
         tries += 1;
     }

@@ -13,7 +13,7 @@ use super::error::ArtefactError;
 use super::manifest::{FolderEntry, FolderLimits, FolderManifest};
 use super::parallel::each;
 use super::store::ArtefactStore;
-use super::walk::{self, Found};
+use super::walk::{self, FoundFile};
 
 /// How often a file that changes while it is read is tried.
 const TRIES: usize = 4;
@@ -99,7 +99,11 @@ impl ArtefactSession {
         self.store.as_ref()
     }
 
-    pub(super) fn store_files(&self, found: &[Found], gone: Gone) -> Result<Vec<FolderEntry>, ArtefactError> {
+    pub(super) fn store_files(
+        &self,
+        found: &[FoundFile],
+        gone: Gone,
+    ) -> Result<Vec<FolderEntry>, ArtefactError> {
         let entries = each(found, |found| match self.store_file(found) {
             Err(error) if gone == Gone::LeftOut && error.is_gone() => Ok(None),
             stored => stored.map(Some),
@@ -107,7 +111,7 @@ impl ArtefactSession {
         Ok(entries.into_iter().flatten().collect())
     }
 
-    fn store_file(&self, found: &Found) -> Result<FolderEntry, ArtefactError> {
+    fn store_file(&self, found: &FoundFile) -> Result<FolderEntry, ArtefactError> {
         let mut tries = 1;
         loop {
             let (digest, bytes) = self.digest_of(&found.source)?;

@@ -10,7 +10,7 @@ use super::manifest::{FolderLimits, fit};
 
 /// A file that was found.
 #[derive(Clone, Debug)]
-pub(super) struct Found {
+pub(super) struct FoundFile {
     /// Its path in the folder, with `/`.
     pub path: String,
     /// Where its bytes are.
@@ -34,7 +34,7 @@ pub(super) fn files(
     top: &Path,
     limits: &FolderLimits,
     wanted: &dyn Fn(&str) -> bool,
-) -> Result<Vec<Found>, ArtefactError> {
+) -> Result<Vec<FoundFile>, ArtefactError> {
     let unfit = |path: &Path, reason: &str| ArtefactError::Unfit { path: path.into(), reason: reason.into() };
     let mut found = Vec::new();
     let mut open = vec![Open { above: Vec::new(), folder: top.to_owned(), prefix: String::new() }];
@@ -65,7 +65,7 @@ pub(super) fn files(
                 open.push(Open { above: above.clone(), folder: source, prefix: path + "/" });
                 continue;
             }
-            found.push(Found { path, source });
+            found.push(FoundFile { path, source });
             if found.len() > limits.files {
                 return Err(unfit(top, &format!("it has more than {} files", limits.files)));
             }

@@ -104,7 +104,7 @@ impl Crew<'_> {
             if clocks_read.is_none_or(|at| at.elapsed() >= ASK_EVERY) {
                 clocks_read = Some(Instant::now());
                 let jumps = self.terms.engine.jumps();
-                for seconds in self.heard(jumps)?.unwrap_or_default() {
+                for seconds in self.answered(jumps)?.unwrap_or_default() {
                     if seconds.abs() >= JUMP_REPORTED_S {
                         (self.terms.tell)(&BatchEvent::ClockJumped { seconds });
                     }
@@ -126,7 +126,7 @@ impl Crew<'_> {
     }
 
     /// An engine's answer; `None` where it does not answer now. The work goes on meanwhile.
-    fn heard<T>(&mut self, answer: Result<T, EngineError>) -> Result<Option<T>, EngineError> {
+    fn answered<T>(&mut self, answer: Result<T, EngineError>) -> Result<Option<T>, EngineError> {
         match answer {
             Err(EngineError::Server { reason, .. }) => {
                 if !std::mem::replace(&mut self.silent, true) {
@@ -144,14 +144,14 @@ impl Crew<'_> {
         }
     }
 
-    /// As [`Crew::heard`], of a call by who holds a lease; `Some(None)`: it is lost.
-    fn heard_by_holder<T>(
+    /// As [`Crew::answered`], of a call by who holds a lease; `Some(None)`: it is lost.
+    fn answered_holder<T>(
         &mut self,
         answer: Result<T, EngineError>,
     ) -> Result<Option<Option<T>>, EngineError> {
         match answer {
             Err(EngineError::Lost { .. }) => Ok(Some(None)),
-            other => Ok(self.heard(other)?.map(Some)),
+            other => Ok(self.answered(other)?.map(Some)),
         }
     }
 
@@ -159,7 +159,7 @@ impl Crew<'_> {
     fn open_jobs(&mut self) -> Result<Option<usize>, EngineError> {
         let open = |j: &&JobStatus| matches!(j.state, JobState::Pending | JobState::Leased);
         let jobs = self.terms.engine.jobs();
-        Ok(self.heard(jobs)?.map(|jobs| jobs.iter().filter(open).count()))
+        Ok(self.answered(jobs)?.map(|jobs| jobs.iter().filter(open).count()))
     }
 
     fn free(&self) -> Needs {
@@ -188,7 +188,7 @@ impl Crew<'_> {
             accelerator: self.terms.accelerator.clone(),
             lease_s: LEASE_S,
         });
-        let Some(lease) = self.heard(claimed)?.flatten() else { return Ok(false) };
+        let Some(lease) = self.answered(claimed)?.flatten() else { return Ok(false) };
         let scene = match self.terms.host.scene(&lease.job) {
             Ok(scene) => scene,
             Err(failure) => {
@@ -205,7 +205,7 @@ impl Crew<'_> {
         // The last scene need not leave cores idle that nobody else needs.
         let jobs = self.terms.engine.jobs();
         let nobody_waits = |jobs: Vec<JobStatus>| !jobs.iter().any(|j| j.state == JobState::Pending);
-        if self.heard(jobs)?.is_some_and(nobody_waits) {
+        if self.answered(jobs)?.is_some_and(nobody_waits) {
             granted.cores = free.cores;
         }
         if self.terms.host.is_remote() {
@@ -238,14 +238,14 @@ impl Crew<'_> {
             if starts || !waited && worker.waits.is_some() {
                 let (lease, reason) = (worker.lease.clone(), worker.waits.clone().filter(|_| !starts));
                 let noted = self.terms.engine.note_wait(&lease, reason.as_deref());
-                self.heard_by_holder(noted)?;
+                self.answered_holder(noted)?;
             }
             match step {
                 Step::Goes => i += 1,
                 Step::Stored(artefact) => {
                     let lease = self.assignments[i].worker.lease.clone();
                     let noted = self.terms.engine.checkpoint(&lease, &artefact);
-                    self.heard_by_holder(noted)?;
+                    self.answered_holder(noted)?;
                     i += 1;
                 }
                 Step::Over => {
@@ -277,7 +277,7 @@ impl Crew<'_> {
                     outcome["artefact"] = artefact.clone().into();
                 }
                 let completed = self.terms.engine.complete(&lease, &outcome.to_string());
-                let Some(answer) = self.heard_by_holder(completed)? else { return Ok(false) };
+                let Some(answer) = self.answered_holder(completed)? else { return Ok(false) };
                 if answer.is_some() {
                     (self.terms.tell)(&BatchEvent::SceneDone { scene, seconds });
                 }
@@ -285,7 +285,7 @@ impl Crew<'_> {
             }
             Some(Ended::Code(_)) if worker.stop_requested => {
                 let failed = self.terms.engine.fail(&lease, ErrorClass::Stopped, "stopped");
-                let Some(answer) = self.heard_by_holder(failed)? else {
+                let Some(answer) = self.answered_holder(failed)? else {
                     // A lease of who was stopped and cannot say so runs out.
                     return Ok(self.terms.stop.level() > StopLevel::Run);
                 };
@@ -310,7 +310,7 @@ impl Crew<'_> {
     fn failed(&mut self, lease: &JobLease, class: ErrorClass, error: &str) -> Result<bool, EngineError> {
         let (scene, error) = (lease.job.id.clone(), error.to_owned());
         let fate = self.terms.engine.fail(lease, class, &error);
-        let Some(fate) = self.heard_by_holder(fate)? else { return Ok(false) };
+        let Some(fate) = self.answered_holder(fate)? else { return Ok(false) };
         match fate {
             Some(JobFate::Retry { due }) => {
                 // Between the two readings the clock may have jumped.
@@ -334,7 +334,7 @@ impl Crew<'_> {
             worker.renewed = Instant::now();
             let lease = worker.lease.clone();
             let renewed = self.terms.engine.heartbeat(&lease);
-            match self.heard_by_holder(renewed)? {
+            match self.answered_holder(renewed)? {
                 Some(Some(until)) => self.assignments[i].worker.lease.until = until,
                 // Somebody else has the scene: two must not work on it.
                 Some(None) => self.assignments[i].worker.kill(),

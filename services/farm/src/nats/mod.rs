@@ -32,8 +32,8 @@ use serde::{Deserialize, Serialize};
 pub use self::address::{FarmAccess, FarmAddress, FarmAddressError};
 use self::clock::ServerClock;
 pub use self::record::FarmKey;
-use self::record::{Record, RecordError};
-use self::server::{Appended, REQUEST_TIMEOUT, RequestError, Server, persist};
+use self::record::{LogRecord, LogRecordError};
+use self::server::{Appended, LogServer, REQUEST_TIMEOUT, RequestError, persist};
 use crate::artefacts::{ArtefactError, JetStreamArtefacts};
 use crate::engine::{ChangeKind, EngineError, JobChange};
 use crate::log::TransitionLog;
@@ -59,7 +59,7 @@ pub struct NatsEngine {
     address: FarmAddress,
     key: Option<FarmKey>,
     writer: String,
-    server: Server,
+    server: LogServer,
     known: Mutex<Known>,
     runtime: Option<tokio::runtime::Runtime>,
 }
@@ -81,7 +81,7 @@ struct Known {
 }
 
 #[derive(Serialize, Deserialize)]
-struct Snapshot {
+struct TableSnapshot {
     format: u32,
     covers: u64,
     id: String,
@@ -196,16 +196,16 @@ impl NatsEngine {
             loop {
                 let next = known.tail + 1;
                 let Some(record) = self.ask(self.server.clone().record(next))? else { break };
-                let (id, read) = Record::decode(&record.payload, self.address.name(), self.key.as_ref());
+                let (id, read) = LogRecord::decode(&record.payload, self.address.name(), self.key.as_ref());
                 let applied = match read {
                     Ok(read) if read.after == known.tail_id => {
                         known.apply(&read.transitions, record.time, next);
                         true
                     }
-                    Err(RecordError::Newer) => {
-                        return Err(self.failure(format!("record {next}: {}", RecordError::Newer)));
+                    Err(LogRecordError::Newer) => {
+                        return Err(self.failure(format!("record {next}: {}", LogRecordError::Newer)));
                     }
-                    Ok(_) | Err(RecordError::Void) => {
+                    Ok(_) | Err(LogRecordError::Void) => {
                         tracing::warn!(record = next, farm = %self.address, "a record of the farm's log is void");
                         false
                     }
@@ -239,7 +239,7 @@ impl NatsEngine {
         }
         let found = self.ask(self.server.clone().record(known.tail))?;
         Ok(match found {
-            Some(record) => Record::decode(&record.payload, self.address.name(), None).0 == known.tail_id,
+            Some(record) => LogRecord::decode(&record.payload, self.address.name(), None).0 == known.tail_id,
             None => false,
         })
     }
@@ -267,7 +267,7 @@ impl NatsEngine {
                 format!("the log starts at record {covers}, and the snapshot of what was before is missing");
             return Err(self.failure(reason));
         };
-        let snapshot: Snapshot = serde_json::from_slice(&bytes).map_err(|error| {
+        let snapshot: TableSnapshot = serde_json::from_slice(&bytes).map_err(|error| {
             self.failure(format!("the snapshot at record {covers} cannot be read: {error}"))
         })?;
         if snapshot.format != SNAPSHOT_FORMAT || snapshot.covers != covers {
@@ -285,7 +285,7 @@ impl NatsEngine {
     fn append(&self, known: &mut Known, transitions: Vec<Transition>) -> Result<bool, EngineError> {
         let (before, after) = (known.tail, known.tail_id.clone());
         let id = self.record_name()?;
-        let record = Record { id: id.clone(), after, transitions, writer: self.writer.clone() };
+        let record = LogRecord { id: id.clone(), after, transitions, writer: self.writer.clone() };
         let bytes = record.encode(self.address.name(), self.key.as_ref());
         let began = Instant::now();
         loop {
@@ -330,7 +330,7 @@ impl NatsEngine {
         if !sequence.is_multiple_of(COMPACT_EVERY) {
             return;
         }
-        let snapshot = Snapshot {
+        let snapshot = TableSnapshot {
             format: SNAPSHOT_FORMAT,
             covers: sequence,
             id: known.tail_id.clone(),
@@ -456,7 +456,7 @@ impl TransitionLog for NatsEngine {
 
 /// What a record of a farm's log says, for programs that read one; `None` where it is void, or a newer version's.
 pub fn transitions(record: &[u8], farm: &str, key: Option<&FarmKey>) -> Option<Vec<Transition>> {
-    Some(Record::decode(record, farm, key).1.ok()?.transitions)
+    Some(LogRecord::decode(record, farm, key).1.ok()?.transitions)
 }
 
 /// Waits for a future of the runtime, from a thread that is none of its own.
@@ -470,7 +470,7 @@ fn wait<T: Send + 'static>(
 }
 
 /// Connects, and makes the farm's log where there is none.
-async fn open(address: &FarmAddress, access: &FarmAccess, patience: Duration) -> Result<Server, String> {
+async fn open(address: &FarmAddress, access: &FarmAccess, patience: Duration) -> Result<LogServer, String> {
     let mut options = ConnectOptions::new()
         .name("segwild")
         .require_tls(address.tls())
@@ -519,5 +519,5 @@ async fn open(address: &FarmAddress, access: &FarmAccess, patience: Duration) ->
     if !stream.cached_info().config.subjects.contains(&subject) {
         return Err(format!("its stream {stream_name} is no log of a farm: it does not hold {subject}"));
     }
-    Ok(Server { context, stream, subject, bucket: stream_name, patience })
+    Ok(LogServer { context, stream, subject, bucket: stream_name, patience })
 }

@@ -12,7 +12,7 @@ const PURPOSE: &str = "segwild farm record v1";
 
 /// Why a record cannot be applied.
 #[derive(Debug, PartialEq, thiserror::Error)]
-pub(super) enum RecordError {
+pub(super) enum LogRecordError {
     /// Nobody who may has written it, or not after what is before it.
     #[error("it is void")]
     Void,
@@ -46,14 +46,14 @@ impl std::fmt::Debug for FarmKey {
 
 /// A record to append.
 #[derive(Debug, PartialEq)]
-pub(super) struct Record {
+pub(super) struct LogRecord {
     pub id: String,
     pub after: String,
     pub transitions: Vec<Transition>,
     pub writer: String,
 }
 
-impl Record {
+impl LogRecord {
     /// Its bytes, signed if there is a key.
     pub fn encode(&self, farm: &str, key: Option<&FarmKey>) -> Vec<u8> {
         let mut message = v1::FarmRecord {
@@ -70,9 +70,13 @@ impl Record {
     }
 
     /// Reads a record: its name, and the record where it may be applied.
-    pub fn decode(bytes: &[u8], farm: &str, key: Option<&FarmKey>) -> (String, Result<Record, RecordError>) {
+    pub fn decode(
+        bytes: &[u8],
+        farm: &str,
+        key: Option<&FarmKey>,
+    ) -> (String, Result<LogRecord, LogRecordError>) {
         let Ok(mut message) = v1::FarmRecord::decode(bytes) else {
-            return (String::new(), Err(RecordError::Void));
+            return (String::new(), Err(LogRecordError::Void));
         };
         let id = message.id.clone();
         if let Some(key) = key {
@@ -80,11 +84,11 @@ impl Record {
             let right = key.sign(farm, &message.encode_to_vec());
             // Compared in constant time: blake3's `Hash` is.
             if <[u8; 32]>::try_from(signature).map(blake3::Hash::from) != Ok(right) {
-                return (id, Err(RecordError::Void));
+                return (id, Err(LogRecordError::Void));
             }
         }
         let transitions: Result<Vec<_>, _> = message.transitions.into_iter().map(transition_of).collect();
-        let record = |transitions| Record {
+        let record = |transitions| LogRecord {
             id: id.clone(),
             after: message.after,
             transitions,
@@ -136,6 +140,9 @@ fn message_of(transition: &Transition) -> v1::JobTransition {
         Transition::Stored { job, checkpoint } => {
             Change::Stored(v1::JobStored { job: job.clone(), checkpoint: checkpoint.clone() })
         }
+        Transition::Kept { job, worker, keep_s } => {
+            Change::Kept(v1::JobKept { job: job.clone(), worker: worker.clone(), keep_s: *keep_s })
+        }
         Transition::ClockSet { seconds, since } => {
             Change::ClockSet(v1::ClockSet { seconds: *seconds, since: *since })
         }
@@ -147,8 +154,8 @@ fn message_of(transition: &Transition) -> v1::JobTransition {
     v1::JobTransition { change: Some(change) }
 }
 
-fn transition_of(message: v1::JobTransition) -> Result<Transition, RecordError> {
-    Ok(match message.change.ok_or(RecordError::Newer)? {
+fn transition_of(message: v1::JobTransition) -> Result<Transition, LogRecordError> {
+    Ok(match message.change.ok_or(LogRecordError::Newer)? {
         Change::Published(job) => Transition::Published(Job {
             id: job.id,
             payload: job.payload,
@@ -176,6 +183,7 @@ fn transition_of(message: v1::JobTransition) -> Result<Transition, RecordError> 
         Change::Withdrawn(m) => Transition::Withdrawn { job: m.job },
         Change::Waited(m) => Transition::Waited { job: m.job, reason: m.reason },
         Change::Stored(m) => Transition::Stored { job: m.job, checkpoint: m.checkpoint },
+        Change::Kept(m) => Transition::Kept { job: m.job, worker: m.worker, keep_s: finite(m.keep_s)? },
         Change::ClockSet(m) => {
             finite(m.seconds.abs())?;
             Transition::ClockSet { seconds: m.seconds, since: m.since }
@@ -189,8 +197,8 @@ fn transition_of(message: v1::JobTransition) -> Result<Transition, RecordError> 
 }
 
 /// A length of time, in seconds.
-fn finite(seconds: f64) -> Result<f64, RecordError> {
-    if seconds.is_finite() && seconds >= 0.0 { Ok(seconds) } else { Err(RecordError::Void) }
+fn finite(seconds: f64) -> Result<f64, LogRecordError> {
+    if seconds.is_finite() && seconds >= 0.0 { Ok(seconds) } else { Err(LogRecordError::Void) }
 }
 
 fn class_message(class: ErrorClass) -> v1::FailureClass {
@@ -203,12 +211,12 @@ fn class_message(class: ErrorClass) -> v1::FailureClass {
     }
 }
 
-fn class_of(class: v1::FailureClass) -> Result<ErrorClass, RecordError> {
+fn class_of(class: v1::FailureClass) -> Result<ErrorClass, LogRecordError> {
     match class {
         v1::FailureClass::Retryable => Ok(ErrorClass::Retryable),
         v1::FailureClass::Fatal => Ok(ErrorClass::Fatal),
         v1::FailureClass::Shortage => Ok(ErrorClass::Shortage),
-        v1::FailureClass::Unspecified => Err(RecordError::Newer),
+        v1::FailureClass::Unspecified => Err(LogRecordError::Newer),
     }
 }
 
@@ -242,20 +250,21 @@ mod tests {
             Transition::Waited { job: job(), reason: Some("r".into()) },
             Transition::Waited { job: job(), reason: None },
             Transition::Stored { job: job(), checkpoint: "c".into() },
+            Transition::Kept { job: job(), worker: "w".into(), keep_s: 300.0 },
             Transition::ClockSet { seconds: -5.0, since: 7 },
             Transition::TimesMoved { seconds: 5.0, since: 7 },
             Transition::RestEnded { job: job() },
         ]
     }
 
-    fn record() -> Record {
+    fn record() -> LogRecord {
         let [id, after, writer] = ["2", "1", "here"].map(str::to_owned);
-        Record { id, after, writer, transitions: every_transition() }
+        LogRecord { id, after, writer, transitions: every_transition() }
     }
 
     #[test]
     fn every_transition_comes_through_its_message() {
-        let (id, found) = Record::decode(&record().encode("f", None), "f", None);
+        let (id, found) = LogRecord::decode(&record().encode("f", None), "f", None);
         assert_eq!((id.as_str(), found), ("2", Ok(record())));
     }
 
@@ -264,15 +273,19 @@ mod tests {
         let key = FarmKey::of("secret\n");
         let signed = record().encode("f", Some(&key));
         let read = |bytes: &[u8], farm: &str, secret: &str| {
-            Record::decode(bytes, farm, Some(&FarmKey::of(secret))).1.map(|_| ())
+            LogRecord::decode(bytes, farm, Some(&FarmKey::of(secret))).1.map(|_| ())
         };
         assert_eq!(read(&signed, "f", "secret"), Ok(()));
-        assert_eq!(read(&signed, "f", "another"), Err(RecordError::Void));
-        assert_eq!(read(&signed, "g", "secret"), Err(RecordError::Void));
-        assert_eq!(read(&record().encode("f", None), "f", "secret"), Err(RecordError::Void));
-        let mut changed = Record { writer: "there".into(), ..record() }.encode("f", None);
+        assert_eq!(read(&signed, "f", "another"), Err(LogRecordError::Void));
+        assert_eq!(read(&signed, "g", "secret"), Err(LogRecordError::Void));
+        assert_eq!(read(&record().encode("f", None), "f", "secret"), Err(LogRecordError::Void));
+        let mut changed = LogRecord { writer: "there".into(), ..record() }.encode("f", None);
         changed.extend_from_slice(&signed[signed.len() - 34..]);
-        assert_eq!(read(&changed, "f", "secret"), Err(RecordError::Void), "the signature of another record");
+        assert_eq!(
+            read(&changed, "f", "secret"),
+            Err(LogRecordError::Void),
+            "the signature of another record"
+        );
         assert!(!format!("{key:?}").contains("secret"));
     }
 
@@ -283,10 +296,10 @@ mod tests {
             transitions: vec![v1::JobTransition { change: None }],
             ..v1::FarmRecord::default()
         };
-        assert_eq!(Record::decode(&unknown.encode_to_vec(), "f", None).1, Err(RecordError::Newer));
-        assert_eq!(Record::decode(b"not a record", "f", None).1, Err(RecordError::Void));
+        assert_eq!(LogRecord::decode(&unknown.encode_to_vec(), "f", None).1, Err(LogRecordError::Newer));
+        assert_eq!(LogRecord::decode(b"not a record", "f", None).1, Err(LogRecordError::Void));
         let endless = Transition::Claimed { job: "a".into(), worker: "w".into(), lease_s: f64::NAN };
-        let bytes = Record { transitions: vec![endless], ..record() }.encode("f", None);
-        assert_eq!(Record::decode(&bytes, "f", None).1, Err(RecordError::Void));
+        let bytes = LogRecord { transitions: vec![endless], ..record() }.encode("f", None);
+        assert_eq!(LogRecord::decode(&bytes, "f", None).1, Err(LogRecordError::Void));
     }
 }

@@ -45,14 +45,14 @@ pub(super) enum Appended {
 
 /// The first and the last record that are there.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Extent {
+pub(super) struct LogExtent {
     pub first: u64,
     pub last: u64,
     pub count: u64,
 }
 
 #[derive(Clone)]
-pub(super) struct Server {
+pub(super) struct LogServer {
     pub context: jetstream::Context,
     pub stream: Stream,
     pub subject: String,
@@ -81,7 +81,7 @@ where
     }
 }
 
-impl Server {
+impl LogServer {
     /// A record; `None` where there is none.
     pub async fn record(self, sequence: u64) -> Result<Option<StoredRecord>, String> {
         persist(self.patience, || async {
@@ -100,11 +100,11 @@ impl Server {
     }
 
     /// What of the log is there.
-    pub async fn extent(self) -> Result<Extent, String> {
+    pub async fn extent(self) -> Result<LogExtent, String> {
         persist(self.patience, || async {
             let info = self.stream.get_info().await.map_err(|e| RequestError::Passing(e.to_string()))?;
             let state = info.state;
-            Ok(Extent { first: state.first_sequence, last: state.last_sequence, count: state.messages })
+            Ok(LogExtent { first: state.first_sequence, last: state.last_sequence, count: state.messages })
         })
         .await
     }

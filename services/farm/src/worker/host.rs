@@ -87,7 +87,7 @@ impl SceneHost for FarmHost {
         let artefact: ArtefactDigest =
             checkpoint.parse().map_err(|e| HostFailure::passing(format!("its checkpoint: {e}")))?;
         let continues =
-            std::fs::read_to_string(self.stored_file(scene)).is_ok_and(|have| have == *checkpoint);
+            files::read_plain(&self.stored_file(scene)).is_ok_and(|have| have == checkpoint.as_bytes());
         if continues && scene.out.is_dir() {
             // What this worker did after it stored that.
             return Ok(());
