@@ -15,18 +15,19 @@ use std::sync::Arc;
 pub fn engine_args(command: Command, help: &'static str) -> Command {
     command
         .arg(
-            Arg::new("engine")
-                .long("engine")
-                .value_name("ADDR")
+            Arg::new("farm")
+                .long("farm")
+                .alias("engine")
+                .value_name("FARM")
                 .value_parser(str::parse::<FarmAddress>)
                 .help(help),
         )
-        .arg(args::path("credentials", "NATS credentials file").requires("engine"))
+        .arg(args::path("credentials", "NATS credentials file").requires("farm"))
         .arg(
             args::path("certificates", "Certificates of who signed the farm's servers (tls://)")
-                .requires("engine"),
+                .requires("farm"),
         )
-        .arg(args::path("farm-key", "File with the key that all of the farm share").requires("engine"))
+        .arg(args::path("farm-key", "File with the key that all of the farm share").requires("farm"))
 }
 
 /// Adds the flags of who also moves photos and results.
@@ -35,7 +36,7 @@ pub fn farm_args(command: Command, help: &'static str) -> Command {
         Arg::new("artefacts")
             .long("artefacts")
             .value_name("STORE")
-            .requires("engine")
+            .requires("farm")
             .help("Shared folder or s3://BUCKET/PREFIX for photos and results [default: the farm's server]"),
     )
 }
@@ -50,7 +51,7 @@ pub struct ReachedFarm {
 
 /// Connects to the farm of the flags; `None` where there is none. `writer` is who appends to its log, for people.
 pub fn connect(matches: &ArgMatches, writer: &str) -> Result<Option<Arc<NatsEngine>>, Failure> {
-    let Some(address) = matches.get_one::<FarmAddress>("engine") else { return Ok(None) };
+    let Some(address) = matches.get_one::<FarmAddress>("farm") else { return Ok(None) };
     let key = path_of(matches, "farm-key").map(|file| {
         let secret = std::fs::read_to_string(&file)
             .map_err(|e| Failure::usage(format!("--farm-key: cannot read {}: {e}", file.display())))?;
@@ -82,18 +83,18 @@ pub fn shown(engine: &Arc<NatsEngine>) -> MonitorTarget {
     MonitorTarget::Farm(FarmTarget { name: engine.address().to_string(), engine: engine.clone() })
 }
 
-/// What a command shows: the farm of `--engine`, or the folder of a run or a batch.
+/// What a command shows: the farm of `--farm`, or the folder of a run or a batch.
 pub fn target(matches: &ArgMatches) -> Result<MonitorTarget, Failure> {
     match connect(matches, "status")? {
         Some(engine) => Ok(shown(&engine)),
-        None => Ok(MonitorTarget::at(&path_of(matches, "run").expect("clap requires it or --engine"))?),
+        None => Ok(MonitorTarget::at(&path_of(matches, "run").expect("clap requires it or --farm"))?),
     }
 }
 
-/// Adds what a command shows: a run folder, or `--engine`.
+/// Adds what a command shows: a run folder, or `--farm`.
 pub fn target_args(command: Command) -> Command {
     engine_args(
-        command.arg(args::run().required(false).required_unless_present("engine").conflicts_with("engine")),
+        command.arg(args::run().required(false).required_unless_present("farm").conflicts_with("farm")),
         "Show this farm: nats://HOST:PORT/NAME",
     )
 }

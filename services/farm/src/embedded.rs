@@ -37,7 +37,7 @@ CREATE TABLE changes (
 /// Additions that older versions of the program ignore.
 const ADDITIONS: &str = "
 CREATE TABLE IF NOT EXISTS additions (
-  job TEXT PRIMARY KEY, checkpoint TEXT, accelerator TEXT, silences INTEGER NOT NULL
+  job TEXT PRIMARY KEY, checkpoint TEXT, accelerator TEXT, silences INTEGER NOT NULL, kept_by TEXT, kept_until REAL
 );
 ";
 
@@ -207,7 +207,7 @@ fn store(path: &Path, error: &rusqlite::Error) -> EngineError {
     EngineError::Store { path: path.to_path_buf(), reason: error.to_string() }
 }
 
-/// The table as the file has it, with the file's version: read anew where another handle has written since.
+/// The table as the file has it, with the file's version: read again where another handle has written since.
 fn current(c: &Connection, seen: Option<(i64, JobTable)>) -> rusqlite::Result<(i64, JobTable)> {
     let version: i64 = c.pragma_query_value(None, "data_version", |row| row.get(0))?;
     match seen {
@@ -215,6 +215,9 @@ fn current(c: &Connection, seen: Option<(i64, JobTable)>) -> rusqlite::Result<(i
         _ => Ok((version, load(c)?)),
     }
 }
+
+/// Checkpoint, accelerator, silences, and who keeps capacity free for the job until when.
+type Addition = (Option<String>, Option<String>, u32, Option<(String, f64)>);
 
 fn load(c: &Connection) -> rusqlite::Result<JobTable> {
     let has_additions: bool =
@@ -227,10 +230,13 @@ fn load(c: &Connection) -> rusqlite::Result<JobTable> {
         )?
         .query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?
         .collect::<rusqlite::Result<_>>()?;
-    let mut additions: BTreeMap<String, (Option<String>, Option<String>, u32)> = match has_additions {
+    let mut additions: BTreeMap<String, Addition> = match has_additions {
         true => c
-            .prepare("SELECT job, checkpoint, accelerator, silences FROM additions")?
-            .query_map([], |row| Ok((row.get(0)?, (row.get(1)?, row.get(2)?, row.get(3)?))))?
+            .prepare("SELECT job, checkpoint, accelerator, silences, kept_by, kept_until FROM additions")?
+            .query_map([], |row| {
+                let kept = row.get::<_, Option<String>>(4)?.zip(row.get(5)?);
+                Ok((row.get(0)?, (row.get(1)?, row.get(2)?, row.get(3)?, kept)))
+            })?
             .collect::<rusqlite::Result<_>>()?,
         // Opened to read a file of before.
         false => BTreeMap::new(),
@@ -239,10 +245,12 @@ fn load(c: &Connection) -> rusqlite::Result<JobTable> {
         .prepare(&format!("SELECT {COLUMNS}, place FROM jobs ORDER BY place"))?
         .query_map([], |row| {
             let mut status = status(row)?;
-            (status.checkpoint, status.job.accelerator, status.silences) =
+            let (checkpoint, accelerator, silences, kept) =
                 additions.remove(&status.job.id).unwrap_or_default();
+            (status.checkpoint, status.job.accelerator, status.silences) =
+                (checkpoint, accelerator, silences);
             let waits = waits.remove(&status.job.id);
-            Ok((row.get::<_, i64>(20)?.max(0) as u64, Entry { status, waits, kept: None, timed_by: 0 }))
+            Ok((row.get::<_, i64>(20)?.max(0) as u64, Entry { status, waits, kept, timed_by: 0 }))
         })?
         .collect::<rusqlite::Result<_>>()?;
     let revision: i64 =
@@ -278,8 +286,8 @@ fn write(
         }
     }
     for id in touched {
-        match table.job(&id) {
-            Some(status) => put(t, table.ranks[&id], status)?,
+        match table.entry(&id) {
+            Some(entry) => put(t, table.ranks[&id], entry)?,
             None => {
                 t.execute("DELETE FROM jobs WHERE id = ?1", [&id])?;
                 t.execute("DELETE FROM additions WHERE job = ?1", [&id])?;
@@ -289,7 +297,8 @@ fn write(
     Ok(())
 }
 
-fn put(t: &Transaction<'_>, rank: u64, status: &JobStatus) -> rusqlite::Result<()> {
+fn put(t: &Transaction<'_>, rank: u64, entry: &Entry) -> rusqlite::Result<()> {
+    let status = &entry.status;
     let (job, needs, retry) = (&status.job, &status.job.needs, &status.job.retry);
     let mut insert = t.prepare(&format!(
         "INSERT OR REPLACE INTO jobs ({COLUMNS}, place) VALUES
@@ -319,8 +328,16 @@ fn put(t: &Transaction<'_>, rank: u64, status: &JobStatus) -> rusqlite::Result<(
         i64::try_from(rank).unwrap_or(i64::MAX)
     ])?;
     t.execute(
-        "INSERT OR REPLACE INTO additions (job, checkpoint, accelerator, silences) VALUES (?1, ?2, ?3, ?4)",
-        params![job.id, status.checkpoint, job.accelerator, status.silences],
+        "INSERT OR REPLACE INTO additions (job, checkpoint, accelerator, silences, kept_by, kept_until)
+           VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+        params![
+            job.id,
+            status.checkpoint,
+            job.accelerator,
+            status.silences,
+            entry.kept.as_ref().map(|(worker, _)| worker),
+            entry.kept.as_ref().map(|(_, until)| *until)
+        ],
     )?;
     Ok(())
 }

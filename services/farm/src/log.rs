@@ -13,7 +13,7 @@ use crate::table::{Decision, JobTable};
 /// [`JobEngine`]: the state machine is the [`JobTable`]'s.
 pub trait TransitionLog: Send + Sync {
     /// Lets `decide` see the table as it is and the time, appends what it decides before anybody else appends anything,
-    /// applies it, and lets `then` see the table right after. Where somebody else was first, it decides anew.
+    /// applies it, and lets `then` see the table right after. Where somebody else was first, it decides again.
     ///
     /// # Errors
     /// What `decide` refuses; when the log cannot be read or written.

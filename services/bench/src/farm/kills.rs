@@ -53,7 +53,7 @@ struct KilledFarm<'a> {
 impl KilledFarm<'_> {
     fn worker(&self, folder: &str) -> std::io::Result<Child> {
         let mut command = Command::new(self.program);
-        command.args(["worker", "--engine", &self.address, "--needs", "cores=1,memory=2"]);
+        command.args(["worker", "--farm", &self.address, "--needs", "cores=1,memory=2"]);
         command.args(["--store-every", "2", "--work"]).arg(self.dir.join(folder));
         quiet(&mut command).spawn()
     }
@@ -61,7 +61,7 @@ impl KilledFarm<'_> {
     fn batch(&self) -> std::io::Result<Child> {
         let mut command = Command::new(self.program);
         command.arg("batch").arg(&self.manifest).arg("--out").arg(self.dir.join("night"));
-        quiet(command.args(["--engine", &self.address])).spawn()
+        quiet(command.args(["--farm", &self.address])).spawn()
     }
 }
 

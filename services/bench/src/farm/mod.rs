@@ -125,14 +125,14 @@ pub fn page(figures: &FarmFigures, options: &FarmBenchOptions, made: &Provenance
          have unusable photos, 3 % fail once, 0.2 % take their machine down whenever they are tried. Each machine falls silent \
          every 12 hours on average, for 5 minutes. The server is out of reach for 10 minutes. After half an hour come 20 urgent \
          scenes that need a machine of 16 cores for themselves.\n\n\
-         | seed | done | dead (of hopeless) | lost | done twice | hours | over the ideal | worked again | longest wait of an \
+         | seed | done | dead (of hopeless) | lost | done twice | hours | over the ideal | cores busy while scenes wait | worked again | longest wait of an \
          urgent scene | tail over the longest scene | silent machines | records | records a second |\n\
-         |---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n",
+         |---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n",
         options.scenes, options.workers
     );
     for s in &figures.simulated {
         text += &format!(
-            "| {} | {} | {} ({}) | {} | {} | {:.2} | {:.3} | {:.1} % | {:.0} min | {:.2} | {} | {:.0} | {:.1} |\n",
+            "| {} | {} | {} ({}) | {} | {} | {:.2} | {:.3} | {:.1} % | {:.1} % | {:.0} min | {:.2} | {} | {:.0} | {:.1} |\n",
             s.seed,
             s.done,
             s.dead[0],
@@ -141,6 +141,7 @@ pub fn page(figures: &FarmFigures, options: &FarmBenchOptions, made: &Provenance
             s.doubled,
             s.hours,
             s.over_ideal,
+            100.0 * s.busy,
             100.0 * s.redone,
             s.urgent_wait_min,
             s.tail,
@@ -149,6 +150,7 @@ pub fn page(figures: &FarmFigures, options: &FarmBenchOptions, made: &Provenance
             s.records[1]
         );
     }
-    text += "\nThe ideal is the work that was done divided by all cores: no machine idle, nothing worked twice.\n";
+    text += "\nThe ideal is the work that was done divided by all cores (no machine idle, nothing worked twice), or the longest scene, where \
+             that alone takes longer. Cores are counted as busy up to the moment when no scene waits any more.\n";
     text
 }

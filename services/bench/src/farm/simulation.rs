@@ -36,8 +36,11 @@ pub struct SimulatedFigures {
     pub doubled: usize,
     /// Until everything was done, in hours.
     pub hours: f64,
-    /// That over the work divided by all cores: no farm is faster than 1.
+    /// That over the ideal: the work divided by all cores, or the longest scene where that takes longer. No farm is faster
+    /// than 1.
     pub over_ideal: f64,
+    /// Part of all core time that was worked while a scene was waiting.
+    pub busy: f64,
     /// Part of the core time that was worked which had to be worked again.
     pub redone: f64,
     /// How long an urgent scene that needs a whole large machine waited at most, in minutes.
@@ -144,6 +147,8 @@ struct FarmState {
     worked: f64,
     useful: f64,
     last_claim: f64,
+    /// Core time that was worked up to then.
+    worked_then: f64,
     longest: f64,
     urgent: BTreeMap<usize, f64>,
     urgent_wait: f64,
@@ -173,6 +178,7 @@ impl SimulatedFarm {
             worked: 0.0,
             useful: 0.0,
             last_claim: 0.0,
+            worked_then: 0.0,
             longest: 0.0,
             urgent: BTreeMap::new(),
             urgent_wait: 0.0,
@@ -325,6 +331,9 @@ impl FarmState {
             self.urgent_wait = self.urgent_wait.max(self.now - since);
         }
         self.last_claim = self.now;
+        let under_way = self.machines.iter().flat_map(|m| &m.running);
+        let cores = |r: &Running| f64::from(r.lease.job.needs.cores);
+        self.worked_then = self.worked + under_way.map(|r| (self.now - r.began) * cores(r)).sum::<f64>();
         let of = &mut self.scenes[scene];
         of.attempts += 1;
         let cores = f64::from(lease.job.needs.cores);
@@ -426,7 +435,8 @@ impl FarmState {
             lost: self.scenes.len() - done - dead,
             doubled: self.scenes.iter().filter(|s| s.completed > 1).count(),
             hours: end / 3600.0,
-            over_ideal: end / (self.useful / f64::from(cores)),
+            over_ideal: end / (self.useful / f64::from(cores)).max(self.longest),
+            busy: self.worked_then / (f64::from(cores) * self.last_claim),
             redone: 1.0 - self.useful / self.worked,
             urgent_wait_min: self.urgent_wait / 60.0,
             tail: (end - self.last_claim) / self.longest,
@@ -448,6 +458,7 @@ mod tests {
         assert_eq!(found.dead[0], found.dead[1], "who is hopeless and nobody else is given up");
         assert!(found.deaths > 6, "the machines do fall silent: {}", found.deaths);
         assert!((1.0..2.0).contains(&found.over_ideal), "{}", found.over_ideal);
+        assert!((0.7..=1.0).contains(&found.busy), "{}", found.busy);
         assert!(found.urgent_wait_min < 120.0, "{}", found.urgent_wait_min);
         assert_eq!(found, farm.run());
     }

@@ -20,7 +20,7 @@ pub fn command() -> Command {
     let command = farm_args(command, "Hand the scenes to this farm and watch: nats://HOST:PORT/NAME");
     listen_args(command.after_help(crate::args::examples(
         "segwild batch scenes.toml --out runs/night",
-        "segwild batch scenes.toml --out runs/night --engine nats://queue:4222/night",
+        "segwild batch scenes.toml --out runs/night --farm nats://queue:4222/night",
     )))
     .arg(
         Arg::new("manifest")
@@ -50,7 +50,7 @@ pub fn command() -> Command {
             .action(ArgAction::SetTrue)
             .help("Label metrics with the scene: a time series each"),
     )
-    .arg(crate::args::flag("no-wait", "Hand the scenes to the farm, and do not watch").requires("engine"))
+    .arg(crate::args::flag("no-wait", "Hand the scenes to the farm, and do not watch").requires("farm"))
     .arg(crate::args::json())
 }
 

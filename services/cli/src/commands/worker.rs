@@ -17,7 +17,7 @@ use std::time::Duration;
 pub fn command() -> Command {
     let command = Command::new("worker").about("Work on the scenes of a farm, until stopped");
     farm_args(command, "Farm: nats://HOST:PORT/NAME, or tls://")
-        .mut_arg("engine", |engine| engine.required(true))
+        .mut_arg("farm", |farm| farm.required(true))
         .arg(args::path("work", "Folder on a local disk, for this worker alone [default: runs/worker]"))
         .arg(
             Arg::new("needs")
@@ -37,8 +37,8 @@ pub fn command() -> Command {
         )
         .arg(args::json())
         .after_help(examples(
-            "segwild worker --engine nats://queue:4222/night",
-            "segwild worker --engine tls://queue/night --artefacts s3://scenes --needs gpu=h100,memory=64 --drain",
+            "segwild worker --farm nats://queue:4222/night",
+            "segwild worker --farm tls://queue/night --artefacts s3://scenes --needs gpu=h100,memory=64 --drain",
         ))
 }
 
@@ -74,7 +74,7 @@ fn needs(text: &str) -> Result<Capacity, String> {
 /// Works.
 pub fn worker(matches: &ArgMatches) -> Result<(), Failure> {
     have_files_to_open()?;
-    let farm = reach(matches, "worker")?.expect("clap requires --engine");
+    let farm = reach(matches, "worker")?.expect("clap requires --farm");
     let json = matches.get_flag("json");
     let stop = StopBatch::default();
     let flags = stop.clone();

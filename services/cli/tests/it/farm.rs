@@ -32,7 +32,7 @@ fn manifest(dir: &Path, scenes: &[&str]) -> PathBuf {
 fn worker(dir: &Path, farm: &str, name: &str, more: &[&str]) -> Guarded {
     let log = std::fs::File::options().create(true).append(true).open(dir.join(format!("{name}.log")));
     let child = Command::new(env!("CARGO_BIN_EXE_segwild"))
-        .args(["worker", "--engine", farm, "--needs", "cores=1,memory=2", "--store-every", "1", "--work"])
+        .args(["worker", "--farm", farm, "--needs", "cores=1,memory=2", "--store-every", "1", "--work"])
         .arg(dir.join(name))
         .args(more)
         .stdout(Stdio::null())
@@ -43,7 +43,7 @@ fn worker(dir: &Path, farm: &str, name: &str, more: &[&str]) -> Guarded {
 }
 
 fn batch(dir: &Path, farm: &str, manifest: &Path, more: &[&str]) -> Child {
-    let args = ["batch", &show(manifest), "--out", &show(&dir.join("night")), "--engine", farm];
+    let args = ["batch", &show(manifest), "--out", &show(&dir.join("night")), "--farm", farm];
     start(&[&args[..], more].concat().iter().map(|s| (*s).to_owned()).collect::<Vec<_>>())
 }
 
@@ -122,20 +122,20 @@ fn what_is_wrong_with_a_farm_is_named_in_words() {
     let dir = folder();
     let path = dir.path();
     let file = show(&manifest(path, &["a"]));
-    refuses(&["worker"], 2, &["--engine"]);
-    refuses(&["worker", "--engine", "http://x/y"], 2, &["no farm", "nats://HOST:PORT/NAME"]);
-    refuses(&["worker", "--engine", "nats://me:pw@x/y"], 2, &["credentials file"]);
-    refuses(&["worker", "--engine", "nats://x/y", "--needs", "disk=3"], 2, &["`disk=3`", "cores=N"]);
-    refuses(&["batch", &file, "--artefacts", "/tmp/x"], 2, &["--engine"]);
+    refuses(&["worker"], 2, &["--farm"]);
+    refuses(&["worker", "--farm", "http://x/y"], 2, &["no farm", "nats://HOST:PORT/NAME"]);
+    refuses(&["worker", "--farm", "nats://me:pw@x/y"], 2, &["credentials file"]);
+    refuses(&["worker", "--farm", "nats://x/y", "--needs", "disk=3"], 2, &["`disk=3`", "cores=N"]);
+    refuses(&["batch", &file, "--artefacts", "/tmp/x"], 2, &["--farm"]);
     let Some(server) = NatsServer::start(path) else { return };
     let farm = server.farm("f");
     let (out, missing) = (show(&path.join("o")), show(&path.join("none")));
     refuses(
-        &["batch", &file, "--engine", &farm, "--out", &out, "--farm-key", &missing],
+        &["batch", &file, "--farm", &farm, "--out", &out, "--farm-key", &missing],
         2,
         &["--farm-key", "none"],
     );
-    refuses(&["batch", &file, "--engine", &farm, "--out", &out, "--artefacts", "ftp://x"], 2, &["ftp://x"]);
+    refuses(&["batch", &file, "--farm", &farm, "--out", &out, "--artefacts", "ftp://x"], 2, &["ftp://x"]);
     std::fs::write(
         path.join("code.toml"),
         "[[scene]]\npath = \".\"\nname = \"a\"\nsettings = { models = \"/m\" }\n",
@@ -143,8 +143,56 @@ fn what_is_wrong_with_a_farm_is_named_in_words() {
     .expect("a manifest");
     let code = show(&path.join("code.toml"));
     refuses(
-        &["batch", &code, "--engine", &farm, "--out", &out],
+        &["batch", &code, "--farm", &farm, "--out", &out],
         2,
         &["`models`", "where the workers are started"],
     );
+}
+
+/// What Slurm does with deploy/slurm/worker.sbatch: it runs it, and sends SIGTERM to it before its time is over. `scontrol` is a
+/// stand-in that writes down how it is called.
+#[test]
+fn a_worker_under_slurm_hands_its_scene_back_when_its_time_is_over_and_is_requeued() {
+    let dir = folder();
+    let path = dir.path();
+    let Some(server) = NatsServer::start(path) else { return };
+    let farm = server.farm("f");
+    let handed =
+        batch(path, &farm, &manifest(path, &["a"]), &["--no-wait"]).wait_with_output().expect("it ends");
+    assert!(handed.status.success(), "{}", text(&handed.stderr));
+    let tools = path.join("bin");
+    std::fs::create_dir(&tools).expect("a folder");
+    std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_segwild"), tools.join("segwild")).expect("a link");
+    let stand_in = format!("#!/bin/sh\necho \"$@\" >> {}\n", show(&path.join("scontrol.log")));
+    std::fs::write(tools.join("scontrol"), stand_in).expect("it writes");
+    let made = Command::new("chmod").arg("+x").arg(tools.join("scontrol")).status();
+    assert!(made.expect("`chmod` is there").success());
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/slurm/worker.sbatch");
+    let log = std::fs::File::create(path.join("slurm.log")).expect("a log");
+    let paths = format!("{}:{}", show(&tools), std::env::var("PATH").unwrap_or_default());
+    let child = Command::new("bash")
+        .arg(script)
+        .env("PATH", paths)
+        .envs([("SEGWILD_FARM", &*farm), ("SLURM_JOB_ID", "7"), ("SLURM_CPUS_PER_TASK", "1")])
+        .envs([("SLURM_MEM_PER_NODE", "2048"), ("SEGWILD_FLAGS", "--store-every 1")])
+        .env("SLURM_TMPDIR", path.join("node"))
+        .stdout(Stdio::null())
+        .stderr(log)
+        .spawn()
+        .expect("bash starts");
+    let mut child = Guarded(child);
+    until("its beginning", || log_of(path).contains("begins").then_some(()));
+    signal(&child.0, "-TERM");
+    assert!(child.0.wait().expect("it ends").success(), "{}", log_of(path));
+    assert!(log_of(path).contains("other workers continue"), "{}", log_of(path));
+    let called = std::fs::read_to_string(path.join("scontrol.log")).unwrap_or_default();
+    assert_eq!(called.trim(), "requeue 7", "{}", log_of(path));
+    let left = std::fs::read_dir(path.join("node")).map(|files| files.count()).unwrap_or_default();
+    assert_eq!(left, 0, "its folder is removed");
+    let status = works(&["status", "--farm", &farm]);
+    assert!(status.contains("night/a: waiting"), "{status}");
+}
+
+fn log_of(dir: &Path) -> String {
+    log(dir, "slurm")
 }

@@ -244,7 +244,7 @@ impl NatsEngine {
         })
     }
 
-    /// Reads the table anew: from the snapshot that the log starts at, or from its first record.
+    /// Reads the table again: from the snapshot that the log starts at, or from its first record.
     fn start_over(&self, known: &mut Known) -> Result<(), EngineError> {
         if known.tail > 0 {
             tracing::warn!(farm = %self.address, "the farm's log is another one; it is read again");
@@ -355,6 +355,8 @@ impl NatsEngine {
                 known.silent.get_or_insert((0.0, tail)).0 += silence.as_secs_f64();
             }
             read?;
+            // Others wrote meanwhile: the server was not away, only this machine was.
+            known.silent = known.silent.filter(|(_, tail)| known.tail == *tail);
             if let Some((seconds, since)) = known.unsaid_jump {
                 self.append(known, vec![Transition::ClockSet { seconds, since }])?;
             } else if let Some((seconds, since)) = known.silent {

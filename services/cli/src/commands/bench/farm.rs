@@ -57,8 +57,8 @@ pub fn farm(matches: &ArgMatches) -> Result<(), Failure> {
     };
     let figures = segwild_bench::farm::farm(&options, |s| {
         let _ = print_line(&format!(
-            "seed {}: {} done, {} dead of {} hopeless, {} lost, {} done twice; {:.3} of the ideal time",
-            s.seed, s.done, s.dead[0], s.dead[1], s.lost, s.doubled, s.over_ideal
+            "seed {}: {} done, {} dead of {} hopeless, {} lost, {} done twice; {:.3} of the ideal time, {:.1} % busy",
+            s.seed, s.done, s.dead[0], s.dead[1], s.lost, s.doubled, s.over_ideal, 100.0 * s.busy
         ));
     })
     .map_err(failed)?;
