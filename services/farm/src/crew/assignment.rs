@@ -42,8 +42,13 @@ impl<T: Send + 'static> Errand<T> {
 pub(super) enum Step {
     /// Nothing yet.
     Goes,
-    /// The state was stored as this artefact.
-    Stored(String),
+    /// The state was stored.
+    Stored {
+        /// As this artefact.
+        artefact: String,
+        /// How long that took, in seconds.
+        seconds: f64,
+    },
     /// It is over: how its process ended, and the artefact with what it left.
     Over,
 }
@@ -130,7 +135,7 @@ impl Assignment {
                 self.storing = Some((began, storing));
                 return Step::Goes;
             }
-            return self.stored(began, storing.result(), tell);
+            return self.stored(began, storing.result());
         }
         if !self.host.is_remote() || !self.worker.has_started() {
             self.is_settled = self.ended.is_some();
@@ -138,18 +143,13 @@ impl Assignment {
             let (host, scene) = (self.host.clone(), self.worker.scene.clone());
             match Errand::start(move || host.store(&scene)) {
                 Ok(storing) => self.storing = Some((Instant::now(), storing)),
-                Err(failure) => return self.stored(Instant::now(), Err(failure), tell),
+                Err(failure) => return self.stored(Instant::now(), Err(failure)),
             }
         }
         if self.is_settled && self.ended.is_some() { Step::Over } else { Step::Goes }
     }
 
-    fn stored(
-        &mut self,
-        began: Instant,
-        result: Result<Option<String>, HostFailure>,
-        tell: &mut dyn FnMut(&BatchEvent),
-    ) -> Step {
+    fn stored(&mut self, began: Instant, result: Result<Option<String>, HostFailure>) -> Step {
         self.stored_at = Instant::now();
         // Of what was stored while the process still ran, the end is missing.
         self.is_settled = self.ended.is_some() && self.ended_at.is_none_or(|ended| began >= ended);
@@ -157,9 +157,8 @@ impl Assignment {
             Ok(artefact) => {
                 if let Some(artefact) = artefact.filter(|artefact| self.stored.as_ref() != Some(artefact)) {
                     let seconds = began.elapsed().as_secs_f64();
-                    tell(&BatchEvent::SceneStored { scene: self.worker.scene.name.clone(), seconds });
                     self.stored = Some(artefact.clone());
-                    return Step::Stored(artefact);
+                    return Step::Stored { artefact, seconds };
                 }
                 Step::Goes
             }

@@ -242,10 +242,14 @@ impl Crew<'_> {
             }
             match step {
                 Step::Goes => i += 1,
-                Step::Stored(artefact) => {
-                    let lease = self.assignments[i].worker.lease.clone();
+                Step::Stored { artefact, seconds } => {
+                    let worker = &self.assignments[i].worker;
+                    let (lease, scene) = (worker.lease.clone(), worker.scene.name.clone());
                     let noted = self.terms.engine.checkpoint(&lease, &artefact);
-                    self.answered_holder(noted)?;
+                    // Others find it from now on.
+                    if self.answered_holder(noted)?.is_some_and(|held| held.is_some()) {
+                        (self.terms.tell)(&BatchEvent::SceneStored { scene, seconds });
+                    }
                     i += 1;
                 }
                 Step::Over => {
