@@ -367,8 +367,8 @@ impl NatsEngine {
             } else if let Some(now) = known.clock.now(steady().seconds) {
                 return Ok(now);
             } else if self.append(known, Vec::new())? {
-                // The server has stored a record: its clock is known.
-                let now = known.clock.now(steady().seconds).unwrap_or_default();
+                // The server has stored a record: its clock is known, unless the answer was lost.
+                let Some(now) = known.clock.now(steady().seconds) else { continue };
                 let ended = |(job, _)| Transition::RestEnded { job };
                 let over: Vec<Transition> = known.table.rests_too_long(now).into_iter().map(ended).collect();
                 if !over.is_empty() {
