@@ -87,17 +87,23 @@ impl FarmBatch<'_> {
         tell: &mut dyn FnMut(&BatchEvent),
     ) -> Result<(), FarmBatchError> {
         let read = BatchManifest::read_for_farm(manifest, until)?;
+        // All of them are checked before the first one's photos travel.
+        for (scene, _) in &read.jobs {
+            parts(&self.id(&scene.name)).map_err(FarmBatchError::Name)?;
+            FarmScene::check(&scene.settings, scene.until.as_deref())
+                .map_err(|reason| FarmBatchError::Scene { scene: scene.name.clone(), reason })?;
+        }
         let mut jobs = Vec::new();
         for (scene, job) in &read.jobs {
             let id = self.id(&scene.name);
-            parts(&id).map_err(FarmBatchError::Name)?;
-            let wrong = |reason| FarmBatchError::Scene { scene: scene.name.clone(), reason };
             let began = Instant::now();
             let failed = |source| FarmBatchError::Photos { scene: scene.name.clone(), source };
             let photos = self.artefacts.store_folder(&scene.path, &|_| true).map_err(failed)?;
-            let payload = FarmScene::of(scene, photos).map_err(wrong)?;
-            let payload =
-                serde_json::to_string(&payload).map_err(|e| wrong(FarmSceneError::Payload(e.to_string())))?;
+            let payload = FarmScene { photos, settings: scene.settings.clone(), until: scene.until.clone() };
+            let payload = serde_json::to_string(&payload).map_err(|e| FarmBatchError::Scene {
+                scene: scene.name.clone(),
+                reason: FarmSceneError::Payload(e.to_string()),
+            })?;
             tell(&BatchEvent::SceneStored { scene: id.clone(), seconds: began.elapsed().as_secs_f64() });
             jobs.push(Job { id, payload, ..job.clone() });
         }

@@ -9,7 +9,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::artefacts::ArtefactDigest;
 use crate::job::Job;
-use crate::manifest::SceneJob;
 
 /// What a worker is to do: nothing but `segwild run` on photos that it fetches, with these settings. A job names no program,
 /// no path, and no setting that names code ([`VisionSettings::CODE`]).
@@ -44,16 +43,6 @@ pub enum FarmSceneError {
 }
 
 impl FarmScene {
-    /// The scene of a manifest, with its photos stored.
-    ///
-    /// # Errors
-    /// When its settings are not for a farm.
-    pub fn of(scene: &SceneJob, photos: ArtefactDigest) -> Result<Self, FarmSceneError> {
-        let made = Self { photos, settings: scene.settings.clone(), until: scene.until.clone() };
-        made.check()?;
-        Ok(made)
-    }
-
     /// The scene of a job.
     ///
     /// # Errors
@@ -62,18 +51,22 @@ impl FarmScene {
         parts(&job.id)?;
         let read: Self =
             serde_json::from_str(&job.payload).map_err(|e| FarmSceneError::Payload(e.to_string()))?;
-        read.check()?;
+        Self::check(&read.settings, read.until.as_deref())?;
         Ok(read)
     }
 
-    fn check(&self) -> Result<(), FarmSceneError> {
-        if let Some(name) = self.settings.keys().find(|name| VisionSettings::CODE.contains(&name.as_str())) {
+    /// Whether a worker runs a scene with these settings, until there.
+    ///
+    /// # Errors
+    /// When it must not.
+    pub fn check(settings: &BTreeMap<String, String>, until: Option<&str>) -> Result<(), FarmSceneError> {
+        if let Some(name) = settings.keys().find(|name| VisionSettings::CODE.contains(&name.as_str())) {
             return Err(FarmSceneError::Code(name.clone()));
         }
         let wrong = |error: &dyn std::fmt::Display| FarmSceneError::Settings(error.to_string());
-        let pairs: Vec<(String, String)> = self.settings.clone().into_iter().collect();
+        let pairs: Vec<(String, String)> = settings.clone().into_iter().collect();
         Settings::layered(None, &pairs).map_err(|e| wrong(&e))?;
-        if let Some(until) = &self.until {
+        if let Some(until) = until {
             until.parse::<Until>().map_err(|e| wrong(&e))?;
         }
         Ok(())

@@ -75,6 +75,12 @@ impl CallQueue {
         self.waiting().len()
     }
 
+    /// Calls that have arrived so far.
+    #[cfg(test)]
+    pub fn arrived(&self) -> u64 {
+        self.next.load(Ordering::Relaxed)
+    }
+
     /// The ticket of a call that arrives now.
     pub fn ticket(&self, priority: Priority, now: Instant) -> Ticket {
         let number = self.next.fetch_add(1, Ordering::Relaxed);
