@@ -370,7 +370,11 @@ fn shrink(photo: Decoded, width: u32, height: u32) -> Result<Image, DecodeError>
         if !all {
             how = how.crop(left, top, part_width, part_height);
         }
-        fir::Resizer::new().resize(&source, &mut scaled, &how).map_err(DecodeError::Resize)?;
+        if deep {
+            resize::<fir::pixels::U16x3>(&source, &mut scaled, &how)?;
+        } else {
+            resize::<fir::pixels::U8x3>(&source, &mut scaled, &how)?;
+        }
         scaled
     };
     let mut image = Image::zeros(width as usize, height as usize, 3);
@@ -385,6 +389,19 @@ fn shrink(photo: Decoded, width: u32, height: u32) -> Result<Image, DecodeError>
         image.data[i % 3 * pixels + i / 3] = value;
     }
     Ok(image)
+}
+
+/// Scales an image whose pixels are `P`. `Resizer::resize` finds the type by itself, and so compiles the convolutions of all
+/// thirteen into this crate: half of its time to compile.
+fn resize<P: fir::PixelTrait>(
+    from: &fir::images::Image<'_>,
+    to: &mut fir::images::Image<'_>,
+    options: &fir::ResizeOptions,
+) -> Result<(), DecodeError> {
+    let unlike = || DecodeError::Resize(fir::ResizeError::PixelTypesAreDifferent);
+    let source = from.typed_image::<P>().ok_or_else(unlike)?;
+    let mut target = to.typed_image_mut::<P>().ok_or_else(unlike)?;
+    fir::Resizer::new().resize_typed(&source, &mut target, options).map_err(DecodeError::Resize)
 }
 
 /// The photo as the pinhole would have taken it; black where there is nothing.
