@@ -13,6 +13,7 @@ use segwild_flow::{LedgerError, shortage};
 use segwild_gpu::GpuError;
 use segwild_monitor::{ServeError, ViewError};
 use segwild_pipeline::{RunError, SettingsError};
+use segwild_poses::PosesError;
 use segwild_scene::SceneError;
 use segwild_segmenter::SegmentError;
 use segwild_synthetic::SyntheticError;
@@ -81,6 +82,7 @@ impl From<RunError> for Failure {
             RunError::Scene(_) | RunError::Vision(_) | RunError::Input(_) | RunError::Engine(_) => {
                 exit::INPUT
             }
+            RunError::Poses(error) => poses_code(error),
             RunError::Settings(_) | RunError::Request(_) => exit::USAGE,
             RunError::Folder { .. }
             | RunError::File(_)
@@ -104,6 +106,25 @@ impl From<RunError> for Failure {
 fn is_shortage(error: &RunError, message: &str) -> bool {
     let of_threads = matches!(error, RunError::Spawn(e) if shortage::is_shortage_of_processes(&e.source));
     of_threads || shortage::is_caused_by_shortage(error) || shortage::is_shortage_message(message)
+}
+
+fn poses_code(error: &PosesError) -> u8 {
+    match error {
+        PosesError::Scene(SceneError::File(_))
+        | PosesError::File(_)
+        | PosesError::Database { .. }
+        | PosesError::Record { .. } => exit::FOLDER,
+        PosesError::TooFew { .. }
+        | PosesError::NoModel { .. }
+        | PosesError::Video { .. }
+        | PosesError::Scene(_) => exit::INPUT,
+        // Another machine may have the program.
+        PosesError::NoColmap { .. }
+        | PosesError::NoFfmpeg { .. }
+        | PosesError::Program { .. }
+        | PosesError::Start { .. } => exit::INCOMPLETE,
+        PosesError::Stopped => exit::INTERRUPTED,
+    }
 }
 
 fn segment_code(error: &SegmentError) -> u8 {

@@ -10,8 +10,23 @@ use std::fs;
 /// }
 /// ```
 pub fn peak_memory() -> Option<u64> {
-    let text = fs::read_to_string("/proc/self/status").ok()?;
-    let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    kib(&fs::read_to_string("/proc/self/status").ok()?, "VmHWM:")
+}
+
+/// Memory of the machine that is free, or can be freed at once, in bytes; `None` where the system does not report it.
+///
+/// ```
+/// if let Some(bytes) = segwild_flow::cpu::available_memory() {
+///     assert!(bytes > 100_000);
+/// }
+/// ```
+pub fn available_memory() -> Option<u64> {
+    kib(&fs::read_to_string("/proc/meminfo").ok()?, "MemAvailable:")
+}
+
+/// Bytes of the line that starts with a word and gives KiB.
+fn kib(text: &str, word: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(word))?;
     let kib: u64 = line.split_whitespace().next()?.parse().ok()?;
     Some(kib * 1024)
 }

@@ -70,6 +70,21 @@ impl StageProgress {
         self.total = Some(total);
     }
 
+    /// Starts the next part of a stage whose parts have units of their own: counts and rate start again, its times go on.
+    ///
+    /// ```
+    /// let mut stage = segwild_flow::Events::new().stage("poses", Some(12));
+    /// stage.advance(12);
+    /// stage.next_part(Some(66));
+    /// assert_eq!((stage.done(), stage.rate()), (0, 0.0));
+    /// ```
+    pub fn next_part(&mut self, total: Option<u64>) {
+        (self.made, self.cached, self.failed) = (0, 0, 0);
+        (self.work, self.time, self.marked) = (0.0, 0.0, Instant::now());
+        self.total = total;
+        self.report(self.marked);
+    }
+
     /// So many units were done.
     pub fn advance(&mut self, units: u64) {
         self.made += units;
@@ -125,14 +140,18 @@ impl StageProgress {
         self.work = self.work * keep + units as f64;
         self.time = self.time * keep + passed;
         if now - self.reported >= EVERY || self.total == Some(self.done()) {
-            self.reported = now;
-            self.events.tell(Event::StageProgress {
-                stage: self.stage.clone(),
-                done: self.done(),
-                total: self.total,
-                rate: self.rate(),
-                eta_s: self.eta(),
-            });
+            self.report(now);
         }
+    }
+
+    fn report(&mut self, now: Instant) {
+        self.reported = now;
+        self.events.tell(Event::StageProgress {
+            stage: self.stage.clone(),
+            done: self.done(),
+            total: self.total,
+            rate: self.rate(),
+            eta_s: self.eta(),
+        });
     }
 }

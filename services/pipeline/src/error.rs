@@ -4,6 +4,7 @@ use crate::SettingsError;
 use segwild_features::FeatureError;
 use segwild_flow::{ActorFailure, CacheError, CodecError, FileError, LedgerError, SpawnError};
 use segwild_gpu::GpuError;
+use segwild_poses::PosesError;
 use segwild_raster::RasterError;
 use segwild_scene::SceneError;
 use segwild_segmenter::SegmentError;
@@ -20,6 +21,9 @@ pub enum RunError {
     /// A settings file or value makes no sense.
     #[error(transparent)]
     Settings(#[from] SettingsError),
+    /// The poses of the photos cannot be computed.
+    #[error(transparent)]
+    Poses(Box<PosesError>),
     /// A requested 2D model cannot be used.
     #[error(transparent)]
     Vision(#[from] VisionError),
@@ -91,6 +95,12 @@ pub enum RunError {
     /// Features could not be rendered.
     #[error(transparent)]
     Features(#[from] FeatureError),
+}
+
+impl From<PosesError> for RunError {
+    fn from(error: PosesError) -> RunError {
+        RunError::Poses(Box::new(error))
+    }
 }
 
 impl RunError {

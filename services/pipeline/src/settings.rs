@@ -3,6 +3,7 @@
 use segwild_features::FeatureSettings;
 use segwild_flow::files;
 use segwild_masks::MaskSettings;
+use segwild_poses::PoseSettings;
 use segwild_scene::settings::{Field, Group, SettingError};
 use segwild_scene::{Scene, SceneSettings, choice, settings};
 use segwild_segmenter::SegmentSettings;
@@ -166,6 +167,7 @@ macro_rules! compose {
 compose! {
     run: RunSettings,
     scene: SceneSettings,
+    poses: PoseSettings,
     vision: VisionSettings,
     train: TrainSettings,
     masks: MaskSettings,

@@ -4,8 +4,7 @@ use crate::decode::converted;
 use crate::draft::Draft;
 use crate::names::{Listing, below, is_inside, is_photo, key, stem, tidy};
 use crate::photo_files::{Claim, LocateError, PHOTO_FOLDERS, no_file, photo_folders, settle};
-use crate::{SceneError, SceneSettings};
-use crate::{colmap, draft, transforms};
+use crate::{PosedPhotos, SceneError, SceneSettings, Skipped, colmap, draft, transforms};
 use rayon::prelude::*;
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -17,8 +16,33 @@ pub(crate) fn setting(setting: &'static str, value: String, reason: &str) -> Sce
     SceneError::Setting { setting, value, reason: reason.to_owned() }
 }
 
-/// The scene's folder, its reconstruction, and the photo folder.
-pub(crate) fn find(path: &Path, settings: &SceneSettings) -> Result<(PathBuf, Draft, PathBuf), SceneError> {
+/// The files of a scene.
+pub(crate) struct FoundScene {
+    /// The scene's folder.
+    pub folder: PathBuf,
+    /// Its reconstruction.
+    pub draft: Draft,
+    /// The folder of its photos.
+    pub images: PathBuf,
+    /// Photos that the program which made the reconstruction found no poses of, with its reasons; `None` where the photo folder
+    /// alone says which photos those are.
+    pub unposed: Option<Vec<Skipped>>,
+}
+
+impl FoundScene {
+    /// The scene of photos whose poses another program computed.
+    pub fn posed(posed: PosedPhotos) -> Result<FoundScene, SceneError> {
+        let PosedPhotos { scene, photos, model, unposed, notes } = posed;
+        let folder = std::path::absolute(&scene).map_err(SceneError::io(&scene))?;
+        let images = std::path::absolute(&photos).map_err(SceneError::io(&photos))?;
+        let mut draft = draft::from_colmap(&model)?;
+        draft.notes.extend(notes);
+        Ok(FoundScene { folder, draft, images, unposed: Some(unposed) })
+    }
+}
+
+/// Finds the files of a scene.
+pub(crate) fn find(path: &Path, settings: &SceneSettings) -> Result<FoundScene, SceneError> {
     let metadata = std::fs::metadata(path).map_err(SceneError::io(path))?;
     // Absolute, so that folders above can be named and the photos be found again from elsewhere.
     let path = &std::path::absolute(path).map_err(SceneError::io(path))?;
@@ -46,7 +70,7 @@ pub(crate) fn find(path: &Path, settings: &SceneSettings) -> Result<(PathBuf, Dr
                 folder.display()
             )
         }));
-        return Ok((folder, draft, images));
+        return Ok(FoundScene { folder, draft, images, unposed: None });
     }
     let is_json = |json: &PathBuf| json.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
     if let Some(json) = json.filter(is_json) {
@@ -56,13 +80,13 @@ pub(crate) fn find(path: &Path, settings: &SceneSettings) -> Result<(PathBuf, Dr
         draft.notes.extend(beside);
         // Its photos hold their paths.
         let images = images.unwrap_or_else(|| folder.clone());
-        return Ok((folder, draft, images));
+        return Ok(FoundScene { folder, draft, images, unposed: None });
     }
     Err(SceneError::NotAScene {
         path: path.to_owned(),
         looked_for: format!(
             "a COLMAP reconstruction (cameras and images, .bin or .txt, in {}), nerfstudio's transforms.json and Blender's \
-             transforms_train.json",
+             transforms_train.json; and there are no photos or video whose poses could be computed",
             colmap::MODEL_FOLDERS.join(", ")
         ),
     })

@@ -145,6 +145,11 @@ impl Listing {
         found.first().map(|&i| &self.entries[i])
     }
 
+    /// All files, by name.
+    pub fn into_entries(self) -> Vec<ListingEntry> {
+        self.entries
+    }
+
     /// Whether there is no file.
     pub fn is_empty(&self) -> bool {
         self.entries.is_empty()

@@ -3,14 +3,14 @@
 use crate::decode::{self, ImageHead, pixels_of};
 use crate::draft::{Draft, DraftLensError, DraftPhoto, DraftPoint, DraftPose, PoseError};
 use crate::frame::{Placed, Placing};
-use crate::locate::{find, folder_setting, locate, setting, unheld};
+use crate::locate::{FoundScene, find, folder_setting, locate, setting, unheld};
 use crate::mask_files::MaskFiles;
 use crate::names::is_inside;
 use crate::photo_files::LocateError;
 use crate::split::{Split, SplitPart};
 use crate::{
-    DARKEST, DecodeError, HoldOut, MaskFileError, Observation, Photo, PhotoError, Point, Pose, Reading,
-    Scene, SceneError, SceneFrame, SceneSettings, Seal, Skipped, View,
+    DARKEST, DecodeError, HoldOut, MaskFileError, Observation, Photo, PhotoError, Point, Pose, PosedPhotos,
+    Reading, Scene, SceneError, SceneFrame, SceneSettings, Seal, Skipped, View,
 };
 use crate::{alpha, keep, orientation};
 use glam::{Mat3, Vec3};
@@ -28,13 +28,27 @@ impl Scene {
     /// be cut-outs, and photos whose EXIF orientation their size leaves open: they are decoded a few at a time, and none that takes
     /// much memory.
     pub fn open(path: &Path, settings: &SceneSettings) -> Result<Scene, SceneError> {
-        let (folder, mut draft, images) = find(path, settings)?;
+        Scene::of(find(path, settings)?, settings)
+    }
+
+    /// Opens the scene of photos whose poses another program computed.
+    ///
+    /// # Errors
+    /// As [`Scene::open`].
+    pub fn open_posed(posed: PosedPhotos, settings: &SceneSettings) -> Result<Scene, SceneError> {
+        Scene::of(FoundScene::posed(posed)?, settings)
+    }
+
+    fn of(found: FoundScene, settings: &SceneSettings) -> Result<Scene, SceneError> {
+        let FoundScene { folder, mut draft, images, unposed } = found;
         let ignore = folder_setting("ignore", &settings.ignore, &folder)?;
         if settings.size == 0 {
             return Err(setting("size", "0".into(), "photos need at least one pixel"));
         }
         let located = locate(&mut draft, &images);
-        draft.notes.extend(unheld(&draft, &located));
+        if unposed.is_none() {
+            draft.notes.extend(unheld(&draft, &located));
+        }
         let draft = draft;
         let mut remarks = Vec::new();
         let names: Vec<&str> = draft.photos.iter().map(|p| p.name.as_str()).collect();
@@ -44,10 +58,14 @@ impl Scene {
         let keep = keep::find(&folder, &images, ignore.as_deref(), settings, &draft, &mut remarks)?;
         let ignored = ignore.as_ref().map(|folder| MaskFiles::new(folder, names.iter().copied()));
 
-        let mut skipped = Vec::new();
+        let mut skipped = unposed.unwrap_or_default();
+        let reasons_known: HashSet<String> = skipped.iter().map(|photo| photo.name.clone()).collect();
         let mut skip = |name: &str, reason: String| skipped.push(Skipped { name: name.to_owned(), reason });
         if let Some(split) = &split {
             for (name, part) in split.unmatched(&names) {
+                if reasons_known.contains(name) {
+                    continue;
+                }
                 let why =
                     if *part == SplitPart::NoPose { "the split has no pose of it" } else { "it has no pose" };
                 skip(name, format!("{why}: the reconstruction did not place it"));

@@ -7,6 +7,7 @@ use crate::output::{print_json, print_line};
 use clap::{Arg, ArgMatches, Command};
 use segwild_gpu::{Adapter, AdapterChoice, GpuEngine};
 use segwild_pipeline::{RunSettings, Settings, choose_engine};
+use segwild_poses::{Colmap, Ffmpeg};
 use segwild_selftest::check;
 use segwild_vision::{ModelFile, Providers, Runtime, VisionSettings, models_in};
 use std::path::PathBuf;
@@ -73,6 +74,23 @@ pub fn doctor(matches: &ArgMatches, program: Command) -> Result<(), Failure> {
             }
             Err(error) => format!("not usable: {error}. The built-in provider needs none."),
         },
+    ));
+    found.push((
+        "poses",
+        Colmap::find().map_or_else(
+            || "no COLMAP on the PATH: photos need poses of their own (Debian, Ubuntu: apt-get install colmap)".into(),
+            |colmap| format!("{} ({})", colmap.version, if colmap.has_cuda { "with CUDA" } else { "CPU only" }),
+        ),
+    ));
+    found.push((
+        "video",
+        Ffmpeg::find().map_or_else(
+            || {
+                "no ffmpeg on the PATH: no photos out of videos (Debian, Ubuntu: apt-get install ffmpeg)"
+                    .into()
+            },
+            |ffmpeg| ffmpeg.version,
+        ),
     ));
     let named = || std::env::var_os("SEGWILD_MODELS").filter(|named| !named.is_empty());
     let models = path_of(matches, "models").or_else(|| named().map(PathBuf::from));

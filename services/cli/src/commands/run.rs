@@ -27,7 +27,7 @@ pub fn command() -> Command {
     let scene = Arg::new("scene")
         .required_unless_present("graph")
         .value_parser(value_parser!(PathBuf))
-        .help("COLMAP folder, Photo Tourism folder, or folder with transforms.json");
+        .help("Folder of photos, COLMAP or Photo Tourism folder, folder with transforms.json, or video");
     child_args(listen_args(serve_args(with_settings(
         Command::new("run").about("Train a scene: geometry, appearance, masks, features, report"),
     ))))

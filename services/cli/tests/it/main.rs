@@ -19,6 +19,7 @@ mod objects;
 mod operators;
 mod page;
 mod photos;
+mod poses;
 mod received;
 mod resume;
 mod sam_runs;

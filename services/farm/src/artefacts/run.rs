@@ -23,6 +23,8 @@ const LOCK: &str = "run.lock";
 const TRAINING: &str = "geometry";
 /// The folder of its checkpoints.
 const CHECKPOINTS: &str = "checkpoints";
+/// COLMAP's database and log, which it may be writing: without them its features are computed again, and its models stay.
+const OF_COLMAP: &str = "poses/colmap.";
 /// How often a ledger is copied of which a checkpoint is removed meanwhile.
 const TRIES: usize = 8;
 
@@ -31,6 +33,7 @@ const TRIES: usize = 8;
 fn goes_with_run(path: &str) -> bool {
     let of_a_process = |part: &str| part.starts_with('.') || part.ends_with(".lock");
     !path.starts_with(LEDGER)
+        && !path.starts_with(OF_COLMAP)
         && !path.split('/').any(of_a_process)
         && !["cache/tmp", "cache/corrupt"].iter().any(|aside| {
             path.strip_prefix(aside).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))

@@ -288,7 +288,10 @@ fn stages(
     now: f64,
     running: bool,
 ) -> Vec<StageView> {
-    let mut names: Vec<&str> = Stage::LISTED.map(Stage::name).to_vec();
+    // Most scenes come with poses and have no such stage.
+    let poses = rows.iter().any(|row| row.name == Stage::Poses.name());
+    let listed = Stage::LISTED.into_iter().filter(|stage| poses || *stage != Stage::Poses);
+    let mut names: Vec<&str> = listed.map(Stage::name).collect();
     names.extend(rows.iter().map(|r| r.name.as_str()).filter(|name| Stage::named(name).is_none()));
     let view = |name: &str| {
         let row = rows.iter().find(|r| r.name == name);

@@ -5,6 +5,7 @@
 //! RUN/scene.json        where the scene is, its photos, those skipped and why
 //! RUN/run.sqlite        the ledger
 //! RUN/cache/            artefacts by the hash of what they were made from
+//! RUN/poses/            the poses of photos that came without, and COLMAP's database, log and models
 //! RUN/checkpoints/      from which an interrupted training continues
 //! RUN/model.bin         the trained scene; RUN/scene.ply the same for other programs
 //! RUN/features.bin      the feature field
@@ -24,7 +25,8 @@ use segwild_features::FeatureField;
 use segwild_flow::files::Stray;
 use segwild_flow::ledger::{CheckpointRow, State};
 use segwild_flow::{Cache, FileError, Ledger, codec, files};
-use segwild_scene::{Scene, SceneFrame, Skipped};
+use segwild_poses::PosesFolder;
+use segwild_scene::{Scene, SceneFrame, SceneSettings, Skipped};
 use segwild_trainer::{Checkpoint, Model};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashSet};
@@ -44,11 +46,12 @@ pub(crate) const EARLIER: &str = "traces";
 const LONGEST_ECHO: usize = 120;
 
 /// Folders and files that are written into, beside the ledger (`run.sqlite`, its log and its lock).
-const WRITTEN_INTO: [&str; 9] = [
+const WRITTEN_INTO: [&str; 10] = [
     "cache",
     "checkpoints",
     "history.jsonl",
     "objects",
+    "poses",
     "renders",
     "selections",
     "studio",
@@ -79,6 +82,9 @@ pub struct RunFolder {
 pub(crate) struct Intake {
     /// The scene, as an absolute path.
     pub scene: PathBuf,
+    /// Whether the run computed the poses of its photos.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub posed: bool,
     /// The photos that take part, in order.
     pub photos: Vec<String>,
     /// Those held out.
@@ -242,6 +248,21 @@ impl RunFolder {
         self.path.join("report.html")
     }
 
+    /// Where the poses of photos are computed that come without.
+    pub(crate) fn poses(&self) -> PosesFolder {
+        PosesFolder::at(self.path.join("poses"))
+    }
+
+    /// Opens the photos at `path` with the poses that this run computed.
+    ///
+    /// # Errors
+    /// When there are none, or the photos are gone.
+    pub(crate) fn open_posed(&self, path: &Path, settings: &SceneSettings) -> Result<Scene, RunError> {
+        let missing = || self.broken("poses", "it holds no poses yet; `segwild run` computes them".into());
+        let posed = self.poses().posed(path, settings)?.ok_or_else(missing)?;
+        Ok(Scene::open_posed(posed, settings)?)
+    }
+
     pub(crate) fn checkpoints(&self) -> PathBuf {
         self.path.join("checkpoints")
     }
@@ -400,7 +421,10 @@ impl RunFolder {
     /// The run's scene, if it is that of a model.
     fn scene_of(&self, settings: &Settings, model: &Model) -> Result<Scene, RunError> {
         let intake = self.intake()?;
-        let scene = Scene::open(&intake.scene, &settings.scene)?;
+        let scene = match intake.posed {
+            true => self.open_posed(&intake.scene, &settings.scene)?,
+            false => Scene::open(&intake.scene, &settings.scene)?,
+        };
         if scene.views.iter().map(|v| &v.name).ne(&model.names) {
             let reason = format!(
                 "the photos of {} have changed since this run: run again to bring it up to date",

@@ -415,6 +415,8 @@ impl Keys {
             keys.iter().fold(Key::of(domain), |k, artefact| k.key(&artefact.hex(), artefact)).finish()
         };
         match stage {
+            // In the ledger the stage has the key of its photos, which is made before any other; these are what it gives.
+            Stage::Poses => self.training,
             Stage::Sky => all("sky stage", &self.sky),
             Stage::Embed => all("embed stage", &self.embedding),
             Stage::Masks => all("masks stage", &self.masks),

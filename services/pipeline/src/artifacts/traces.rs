@@ -3,6 +3,7 @@
 use super::folder::EARLIER;
 use crate::{RunError, RunFolder};
 use segwild_flow::{FileError, Report, SpanKind, TimelineSpan, trace};
+use segwild_poses::PoseSpan;
 use std::path::Path;
 use std::time::Instant;
 
@@ -14,13 +15,16 @@ const KEPT: usize = 30;
 /// A process's timeline while it grows.
 pub(crate) struct Traces<'a> {
     folder: &'a RunFolder,
+    /// Start of the timeline: of the poses, where this process computed them, else of the actors.
     began: Instant,
+    /// Start of the actors.
+    actors: Instant,
 }
 
 impl<'a> Traces<'a> {
     /// Starts a timeline and moves that of the process before aside: a second run has little to show, and an operator
     /// may still want the first one a week later.
-    pub fn start(folder: &'a RunFolder) -> Result<Traces<'a>, RunError> {
+    pub fn start(folder: &'a RunFolder, poses: &[PoseSpan]) -> Result<Traces<'a>, RunError> {
         let earlier = folder.path().join(EARLIER);
         std::fs::create_dir_all(&earlier).map_err(|e| FileError::new("create", &earlier, e))?;
         if let Some(when) = modified(&folder.path().join(FILES[0])) {
@@ -30,7 +34,30 @@ impl<'a> Traces<'a> {
             }
         }
         forget_oldest(&earlier);
-        Ok(Traces { folder, began: Instant::now() })
+        let actors = Instant::now();
+        let began = poses.first().map_or(actors, |span| span.start);
+        Ok(Traces { folder, began, actors })
+    }
+
+    /// Adds the computation of poses, which was before the actors, to their timeline.
+    pub fn add_poses(&self, report: &mut Report, poses: &[PoseSpan]) {
+        let earlier = self.actors.duration_since(self.began).as_secs_f64();
+        let timeline = &mut report.timeline;
+        timeline.began -= earlier;
+        for span in &mut timeline.spans {
+            span.start += earlier;
+            span.end += earlier;
+        }
+        let at = |when: Instant| when.duration_since(self.began).as_secs_f64();
+        let of = |span: &PoseSpan| TimelineSpan {
+            actor: "poses".into(),
+            worker: 0,
+            label: span.step.name().into(),
+            start: at(span.start),
+            end: at(span.end),
+            kind: SpanKind::Busy,
+        };
+        timeline.spans.splice(0..0, poses.iter().map(of));
     }
 
     /// Does some work after the actors have ended, and adds it to the timeline.

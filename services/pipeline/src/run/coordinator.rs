@@ -62,7 +62,7 @@ impl<'a> Coordinator<'a> {
         }
         let stages = NODES.iter().filter_map(|node| match node.work {
             StageWork::Actors(stage) => Some((node.stage, stage())),
-            StageWork::Run(_) | StageWork::End(_) => None,
+            StageWork::Before | StageWork::Run(_) | StageWork::End(_) => None,
         });
         Ok(Coordinator { run, graph, wanted, stages: stages.collect() })
     }
@@ -220,6 +220,10 @@ impl<'a> Coordinator<'a> {
     }
 
     fn gives(&self, stage: Stage, extent: Extent) -> bool {
+        // The scene could not have been opened without them.
+        if stage == Stage::Poses {
+            return true;
+        }
         self.stage(stage).is_some_and(|work| work.gives(extent, &self.run.made))
     }
 

@@ -49,6 +49,7 @@ fn boxes() -> (Vec<ActorBox>, Vec<SourceBox>) {
         sources.extend(node.feed.map(|feed| SourceBox { id: id(feed.source), title: feed.source }));
         let title = match node.by {
             Performer::Actor(actor) => format!("{actor} actor"),
+            Performer::Programs => "COLMAP, where photos come without poses".to_owned(),
             Performer::Run => "the run itself, after the actors".to_owned(),
             Performer::Source => {
                 sources.push(SourceBox { id: id(name), title: name });
@@ -60,6 +61,7 @@ fn boxes() -> (Vec<ActorBox>, Vec<SourceBox>) {
             None => {
                 let id = match node.by {
                     Performer::Actor(actor) => format!("{actor}_actor"),
+                    Performer::Programs => "programs".to_owned(),
                     _ => "run".to_owned(),
                 };
                 actors.push(ActorBox { id, title, stages: vec![name] });

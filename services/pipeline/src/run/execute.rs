@@ -65,10 +65,11 @@ pub fn execute<'a>(
         other => other,
     };
     let mut coordinator = Coordinator::new(context(prepared, plan, folder, options))?;
-    let traces = Traces::start(folder)?;
-    let (report, outcome) =
+    let traces = Traces::start(folder, &prepared.pose_spans)?;
+    let (mut report, outcome) =
         coordinator.flow(&prepared.providers, &prepared.recorder, wiring).map_err(stopped)?;
     let mut run = coordinator.run;
+    traces.add_poses(&mut report, &prepared.pose_spans);
     traces.write(&report)?;
     end_of_actors(&run, &report, outcome.map_err(stopped))?;
     let mut intake = prepared.intake.clone();

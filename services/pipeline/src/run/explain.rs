@@ -3,6 +3,7 @@
 //! Every stage has a key that hashes all it depends on ([`Keys`]). A changed setting is a cause if it alone changes the
 //! stage's key; there is no table of dependencies.
 
+use super::poses::scene_or_photos;
 use super::prepare::UNTIL_STEP;
 use super::stage::Stage;
 use crate::artifacts::keys::{Digests, End, Keys, TrainingOrigin};
@@ -91,7 +92,10 @@ fn situation(
     settings: &Settings,
     end: &End,
 ) -> Result<Situation, RunError> {
-    let scene = Scene::open(path, &settings.scene)?;
+    let scene = match scene_or_photos(path, &settings.scene)? {
+        Ok(scene) => scene,
+        Err(_) => folder.open_posed(path, &settings.scene)?,
+    };
     let providers = Providers::from_settings(&settings.vision)?;
     let steps_open = settings.train.steps == 0;
     let settings = &settings.decided(&scene);
@@ -137,14 +141,24 @@ pub fn explain(
         true => Some(Ledger::open_read_only(folder.ledger())?),
         false => None,
     };
+    let mut plans = Vec::new();
+    if let Err(photos) = scene_or_photos(&path, &settings.scene)? {
+        let poses = folder.poses().plan(&photos, &settings.poses)?;
+        if !poses.is_done() {
+            return Ok(without_poses(poses.why, until));
+        }
+        plans.push(StagePlan { stage: Stage::Poses, verdict: StageVerdict::Reused, why: Vec::new() });
+        if until == Some(Until::Stage(Stage::Poses)) {
+            return Ok(plans);
+        }
+    }
     let now = situation(&path, folder, ledger.as_ref(), &settings, &End::of(until))?;
     let before = match &ledger {
         Some(ledger) => Some(Before::read(ledger, &path, folder, &settings)?),
         None => None,
     };
     let cache = Cache::at(folder.path().join("cache"));
-    let mut plans = Vec::new();
-    for stage in Stage::LISTED {
+    for stage in Stage::LISTED.into_iter().filter(|stage| *stage != Stage::Poses) {
         let verdict = verdict(stage, &now, &cache, folder, ledger.as_ref())?;
         let why = match (&verdict, &before) {
             (StageVerdict::Reused | StageVerdict::Stands { .. } | StageVerdict::NotReached, _) => Vec::new(),
@@ -159,6 +173,20 @@ pub fn explain(
         }
     }
     Ok(plans)
+}
+
+/// What a run would do whose poses are to be computed: what depends on them is not known before.
+fn without_poses(why: Vec<String>, until: Option<Until>) -> Vec<StagePlan> {
+    let last = match until {
+        Some(Until::Stage(stage)) => stage,
+        Some(Until::Step(_)) => Stage::Geometry,
+        None => Stage::Report,
+    };
+    let plan = |stage: Stage| {
+        let why = if stage == Stage::Poses { why.clone() } else { vec!["it waits for the poses".into()] };
+        StagePlan { stage, verdict: StageVerdict::Made, why }
+    };
+    Stage::LISTED.into_iter().filter(|stage| *stage <= last).map(plan).collect()
 }
 
 fn verdict(

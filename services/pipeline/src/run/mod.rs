@@ -20,6 +20,7 @@ mod node;
 mod options;
 mod outcome;
 mod plan;
+mod poses;
 mod prepare;
 mod products;
 pub(crate) mod skies;

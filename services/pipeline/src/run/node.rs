@@ -13,6 +13,8 @@ pub enum Performer {
     Actor(&'static str),
     /// A source of the stage's name, on a thread of its own.
     Source,
+    /// Programs of others, before the actors start.
+    Programs,
     /// The thread of the run, after the actors have ended.
     Run,
 }
@@ -29,6 +31,8 @@ pub struct Feed {
 /// How a stage is done.
 #[derive(Clone, Copy)]
 pub enum StageWork {
+    /// While the run is prepared.
+    Before,
     /// By actors: the coordinator starts it and handles their outcomes.
     Actors(fn() -> Box<dyn ActorStage>),
     /// On the thread of the run, after the actors have ended.
@@ -58,7 +62,7 @@ impl StageNode {
         match self.by {
             Performer::Actor(actor) => actor == name || self.feed.is_some_and(|feed| feed.source == name),
             Performer::Source => self.stage.name() == name,
-            Performer::Run => false,
+            Performer::Programs | Performer::Run => false,
         }
     }
 }

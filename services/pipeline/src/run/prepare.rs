@@ -3,6 +3,7 @@
 use super::diagnostics;
 use super::memory;
 use super::options::RunOptions;
+use super::poses::{self, OpenedScene};
 use super::until::Until;
 use crate::accelerator::leased;
 use crate::artifacts::folder::Intake;
@@ -16,6 +17,7 @@ use crate::transients::authorship;
 use crate::{RunError, RunFolder, Settings};
 use segwild_flow::{Ledger, Phase, Recorder, Sink, files};
 use segwild_objective::Engine;
+use segwild_poses::PoseSpan;
 use segwild_scene::{Scene, SceneError, Skipped};
 use segwild_vision::Providers;
 use std::path::Path;
@@ -28,6 +30,8 @@ pub const UNTIL_STEP: &str = "until step";
 /// The opened inputs of a run.
 pub struct PreparedRun {
     pub began: Instant,
+    /// When this process computed poses.
+    pub pose_spans: Vec<PoseSpan>,
     pub recorder: Recorder,
     /// Records events in the ledger until it is dropped.
     _sink: Sink,
@@ -74,7 +78,8 @@ pub fn prepare(
     let recorder = Recorder::start(&ledger, events)
         .map_err(|e| files::FileError::new("start the live view of", folder.path(), e))?;
     let path = std::path::absolute(scene).unwrap_or_else(|_| scene.to_owned());
-    let scene = Arc::new(Scene::open(&path, &settings.scene)?);
+    let OpenedScene { scene, posed, spans } = poses::open(&path, folder, settings, &ledger, options)?;
+    let scene = Arc::new(scene);
     ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()))
         .fit(&folder.path().join(authorship::FOLDER))?;
     folder.belongs_to(&path, &scene)?;
@@ -84,7 +89,7 @@ pub fn prepare(
     for words in Skipped::in_words(&scene.skipped).into_iter().chain(scene.notes.iter().cloned()) {
         events.warn(Some("ingest"), words);
     }
-    let mut intake = intake_of(&path, &scene);
+    let mut intake = Intake { posed, ..intake_of(&path, &scene) };
     folder.write_json("scene.json", &intake)?;
     events.info(
         Some("ingest"),
@@ -116,6 +121,7 @@ pub fn prepare(
     let end = End::of(options.until);
     Ok(PreparedRun {
         began,
+        pose_spans: spans,
         recorder,
         _sink: sink,
         ledger,
@@ -150,6 +156,7 @@ fn intake_of(path: &Path, scene: &Scene) -> Intake {
         |test: bool| scene.views.iter().filter(move |v| !test || v.test).map(|v| v.name.clone()).collect();
     Intake {
         scene: path.to_owned(),
+        posed: false,
         photos: names(false),
         held_out: names(true),
         skipped: scene.skipped.clone(),

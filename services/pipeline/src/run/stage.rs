@@ -7,6 +7,8 @@ use std::fmt;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Stage {
+    /// The camera poses of photos that come without, or of a video's frames. A scene with poses has no row of it.
+    Poses,
     /// The sky of each photo.
     Sky,
     /// The embedding of each photo.
@@ -30,7 +32,8 @@ pub enum Stage {
 
 impl Stage {
     /// The stages that ledger, progress, metrics and `--until` name.
-    pub const LISTED: [Stage; 8] = [
+    pub const LISTED: [Stage; 9] = [
+        Stage::Poses,
         Stage::Sky,
         Stage::Embed,
         Stage::Masks,
@@ -44,6 +47,7 @@ impl Stage {
     /// Its name in the ledger, in events, metrics and cache keys.
     pub const fn name(self) -> &'static str {
         match self {
+            Stage::Poses => "poses",
             Stage::Sky => "sky",
             Stage::Embed => "embed",
             Stage::Masks => "masks",

@@ -13,6 +13,7 @@ mod png;
 mod tiff;
 
 pub use error::DecodeError;
+pub use exif::ExifCamera;
 pub(crate) use foreign::{converted, converted_copies};
 pub use memory::limit_decoding;
 pub use segwild_files::open_plain as open_file;
@@ -52,6 +53,8 @@ pub(crate) struct ImageHead {
     pub orientation: Orientation,
     /// The EXIF data are of the other orientation, landscape or portrait: some program has turned the pixels since.
     pub turned_since: bool,
+    /// The camera that took it, where EXIF data say so.
+    pub camera: Option<ExifCamera>,
     kind: FileKind,
     /// Size of the file in bytes.
     file: u64,
@@ -194,7 +197,8 @@ impl ImageHead {
     fn new((width, height): (u32, u32), exif: Option<&[u8]>, kind: FileKind, file: u64) -> ImageHead {
         let orientation = exif.and_then(Orientation::from_exif_chunk).unwrap_or(Orientation::NoTransforms);
         let turned_since = exif.is_some_and(|exif| exif::lies_otherwise(exif, width, height));
-        ImageHead { width, height, orientation, turned_since, kind, file }
+        let camera = exif.and_then(ExifCamera::of);
+        ImageHead { width, height, orientation, turned_since, camera, kind, file }
     }
 
     /// The EXIF orientation, where the image has the same size turned by it and as stored.

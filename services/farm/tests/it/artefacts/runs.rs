@@ -129,6 +129,7 @@ fn a_folder_that_is_no_run_is_refused() {
         (&["run.sqlite", "run.lock"], "run.lock"),
         (&["run.sqlite", "run.sqlite/x"], "lies in a file"),
         (&["run.sqlite", "cache/tmp/x"], "cache/tmp/x"),
+        (&["run.sqlite", "poses/colmap.db"], "poses/colmap.db"),
         (&["run.sqlite"], "not a run ledger"),
     ] {
         let entry = |path: &&str| FolderEntry { path: (*path).into(), digest: bytes, bytes: 1 };

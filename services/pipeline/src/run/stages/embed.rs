@@ -2,6 +2,7 @@
 
 use crate::RunError;
 use crate::run::context::RunContext;
+use crate::run::need::{Extent, Need};
 use crate::run::node::{Feed, Performer, StageNode, StageWork};
 use crate::run::outcome::ActorOutcome;
 use crate::run::stage::Stage;
@@ -14,7 +15,7 @@ pub const NODE: StageNode = StageNode {
     stage: Stage::Embed,
     by: Performer::Actor("features"),
     feed: Some(Feed { source: "photos", sends: "view*" }),
-    needs: &[],
+    needs: &[Need { stage: Stage::Poses, extent: Extent::Whole, what: "poses" }],
     work: StageWork::Actors(|| Box::new(EmbedStage::Waiting)),
 };
 

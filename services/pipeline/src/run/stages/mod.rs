@@ -7,6 +7,7 @@ mod features;
 mod geometry;
 mod masks;
 mod objects;
+mod poses;
 mod report;
 mod sky;
 mod visibility;
@@ -14,7 +15,8 @@ mod visibility;
 use super::node::StageNode;
 
 /// Every stage, in the order in which they end.
-pub const NODES: [StageNode; 9] = [
+pub const NODES: [StageNode; 10] = [
+    poses::NODE,
     sky::NODE,
     embed::NODE,
     masks::NODE,

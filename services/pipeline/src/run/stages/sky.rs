@@ -3,7 +3,7 @@
 
 use crate::RunError;
 use crate::run::context::RunContext;
-use crate::run::need::Extent;
+use crate::run::need::{Extent, Need};
 use crate::run::node::{Feed, Performer, StageNode, StageWork};
 use crate::run::outcome::ActorOutcome;
 use crate::run::products::Products;
@@ -17,7 +17,7 @@ pub const NODE: StageNode = StageNode {
     stage: Stage::Sky,
     by: Performer::Actor("masks"),
     feed: Some(Feed { source: "ingest", sends: "view*" }),
-    needs: &[],
+    needs: &[Need { stage: Stage::Poses, extent: Extent::Whole, what: "poses" }],
     work: StageWork::Actors(|| Box::new(SkyStage::Waiting)),
 };
 

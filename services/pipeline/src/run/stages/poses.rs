@@ -1,0 +1,14 @@
+//! The stage `poses`: COLMAP computes the camera poses of photos that come without, before anything else can start. Skies
+//! and embeddings are of undistorted photos, and the lens is one of the things that COLMAP finds.
+
+use crate::run::node::{Performer, StageNode, StageWork};
+use crate::run::stage::Stage;
+
+/// The stage in the graph.
+pub const NODE: StageNode = StageNode {
+    stage: Stage::Poses,
+    by: Performer::Programs,
+    feed: None,
+    needs: &[],
+    work: StageWork::Before,
+};

@@ -1,0 +1,101 @@
+//! Why poses cannot be computed, with messages for a person.
+
+use segwild_flow::FileError;
+use segwild_scene::SceneError;
+use std::path::PathBuf;
+
+/// Why poses cannot be computed.
+#[derive(Debug, thiserror::Error)]
+pub enum PosesError {
+    /// The photos have no poses, and there is no COLMAP.
+    #[error(
+        "{path} holds photos without poses, and COLMAP, which computes them, is not found on the PATH: install it (Debian, Ubuntu: \
+         `apt-get install colmap`; macOS: `brew install colmap`; others: https://colmap.github.io/install.html) and run again",
+        path = path.display()
+    )]
+    NoColmap {
+        /// The photos.
+        path: PathBuf,
+    },
+    /// The frames of a video cannot be taken without ffmpeg.
+    #[error(
+        "{path} is a video, and ffmpeg, which takes photos out of it, is not found on the PATH: install it (Debian, Ubuntu: \
+         `apt-get install ffmpeg`; macOS: `brew install ffmpeg`) and run again",
+        path = path.display()
+    )]
+    NoFfmpeg {
+        /// The video.
+        path: PathBuf,
+    },
+    /// Poses need several photos.
+    #[error("{path}: poses cannot be computed of {usable} usable photos: it takes at least 3 that show the same{first}", path = path.display())]
+    TooFew {
+        /// The photos.
+        path: PathBuf,
+        /// Photos that can be used.
+        usable: usize,
+        /// Why the first of the others cannot be used, or empty.
+        first: String,
+    },
+    /// COLMAP found no poses.
+    #[error("COLMAP found no poses of the {photos} photos in {path}: {reason}", path = path.display())]
+    NoModel {
+        /// The photos.
+        path: PathBuf,
+        /// How many there are.
+        photos: usize,
+        /// What is missing, and what to do.
+        reason: String,
+    },
+    /// The video has no frames that can be used.
+    #[error("{path}: no photo can be taken out of the video: {reason}", path = path.display())]
+    Video {
+        /// The video.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// A program failed.
+    #[error("{program} failed: {last}; all that it wrote is in {log}", log = log.display())]
+    Program {
+        /// The program and its command.
+        program: String,
+        /// Its last line, and its exit code.
+        last: String,
+        /// The log.
+        log: PathBuf,
+    },
+    /// A program cannot be started.
+    #[error("{program} cannot be started: {source}")]
+    Start {
+        /// The program.
+        program: String,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// COLMAP's database cannot be read.
+    #[error("{path}: {source}; remove the folder and run again", path = path.display())]
+    Database {
+        /// The database.
+        path: PathBuf,
+        /// What is wrong.
+        source: rusqlite::Error,
+    },
+    /// The record of what was computed is damaged.
+    #[error("{path}: {reason}; remove the folder and run again", path = path.display())]
+    Record {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The photos or a model cannot be read.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A file cannot be read or written.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// Stopped by the user.
+    #[error("stopped; the same command goes on from here")]
+    Stopped,
+}

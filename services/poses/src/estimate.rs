@@ -1,0 +1,361 @@
+//! Computing poses, step by step. Each step goes on from what the folder holds.
+
+use crate::child::ProgramRunner;
+use crate::colmap::{ColmapCommand, numbers_in};
+use crate::features::{lens_groups, within_memory};
+use crate::folder::{PoseInputs, stamps};
+use crate::models::{PhotoFacts, read_models};
+use crate::record::{PosesDone, PosesRecord};
+use crate::{
+    Colmap, Ffmpeg, PairChoice, PoseLimits, PosePlan, PoseSettings, PoseSource, PoseSpan, PoseStep,
+    PosesError, PosesFolder, pairs,
+};
+use segwild_flow::{Events, FileError, StageProgress, Stopper, files};
+use segwild_scene::{SceneSettings, UnposedPhotos};
+use std::io::ErrorKind;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// Name of the stage in events.
+const STAGE: &str = "poses";
+/// Photos in a model at the least; COLMAP's own 10 would refuse a small scene.
+const LEAST_PHOTOS: usize = 3;
+/// Time between two signs of life while a program computes something long.
+const SIGN_OF_LIFE: Duration = Duration::from_secs(1);
+
+/// Poses while they are computed.
+struct Estimation<'a> {
+    folder: &'a PosesFolder,
+    settings: &'a PoseSettings,
+    limits: &'a PoseLimits,
+    events: &'a Events,
+    children: ProgramRunner<'a>,
+    colmap: Colmap,
+    progress: StageProgress,
+    spans: Vec<PoseSpan>,
+    of_video: bool,
+}
+
+impl PosesFolder {
+    /// Computes the poses of a source, or what is left of them. Progress and messages go to `events` as the stage `poses`.
+    ///
+    /// # Errors
+    /// When a program is missing or fails, no poses are found, the disk fails, or the run is stopped.
+    pub fn estimate(
+        &self,
+        source: &PoseSource,
+        plan: &PosePlan,
+        settings: &PoseSettings,
+        limits: &PoseLimits,
+        events: &Events,
+        stopper: &Stopper,
+    ) -> Result<Vec<PoseSpan>, PosesError> {
+        let missing = || PosesError::NoColmap { path: source.path().to_owned() };
+        let colmap = Colmap::find().ok_or_else(missing)?;
+        std::fs::create_dir_all(self.path())
+            .map_err(|e| FileError::new("create the folder", self.path(), e))?;
+        let mut estimation = Estimation {
+            folder: self,
+            settings,
+            limits,
+            events,
+            children: ProgramRunner { log: self.path().join("colmap.log"), stopper },
+            colmap,
+            progress: events.stage(STAGE, None),
+            spans: Vec::new(),
+            of_video: matches!(source, PoseSource::Video(_)),
+        };
+        estimation.run(source, plan)?;
+        let Estimation { progress, spans, .. } = estimation;
+        progress.finish();
+        Ok(spans)
+    }
+}
+
+/// Removes what a folder of poses holds of earlier inputs; what is not there is as good.
+fn remove(path: &Path) -> Result<(), PosesError> {
+    let removed = if path.is_dir() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
+    match removed {
+        Err(error) if error.kind() != ErrorKind::NotFound => {
+            Err(FileError::new("remove", path, error).into())
+        }
+        _ => Ok(()),
+    }
+}
+
+impl Estimation<'_> {
+    fn run(&mut self, source: &PoseSource, plan: &PosePlan) -> Result<(), PosesError> {
+        let mut record = PosesRecord::read(self.folder.path())?.unwrap_or_default();
+        let mut inputs = plan.inputs.clone();
+        let photos = match source {
+            PoseSource::Photos { photos, .. } => photos.clone(),
+            PoseSource::Video(video) => {
+                let photos = self.frames(video, &inputs, &mut record)?;
+                inputs.photos = stamps(&photos, &record)?;
+                photos
+            }
+        };
+        self.enough(&photos)?;
+        self.keep_what_fits(&inputs, &mut record)?;
+        self.step(PoseStep::Features, |this| this.features(&photos))?;
+        self.step(PoseStep::Pairs, |this| this.pairs(&photos))?;
+        let done = self.step(PoseStep::Model, |this| this.model(&photos, plan))?;
+        record.done = Some(done);
+        record.write(self.folder.path())
+    }
+
+    /// Does a step, and notes when.
+    fn step<T>(
+        &mut self,
+        step: PoseStep,
+        work: impl FnOnce(&mut Self) -> Result<T, PosesError>,
+    ) -> Result<T, PosesError> {
+        let start = Instant::now();
+        let done = work(self);
+        self.spans.push(PoseSpan { step, start, end: Instant::now() });
+        done
+    }
+
+    fn say(&self, words: String) {
+        self.events.info(Some(STAGE), words);
+    }
+
+    fn enough(&self, photos: &UnposedPhotos) -> Result<(), PosesError> {
+        if photos.photos.len() >= LEAST_PHOTOS {
+            return Ok(());
+        }
+        let first = photos.skipped.first().map(|s| format!("; {} cannot be used: {}", s.name, s.reason));
+        Err(PosesError::TooFew {
+            path: photos.folder.clone(),
+            usable: photos.photos.len(),
+            first: first.unwrap_or_default(),
+        })
+    }
+
+    /// Removes features and pairs that are not of these inputs, and writes down what the others are of.
+    fn keep_what_fits(&self, inputs: &PoseInputs, record: &mut PosesRecord) -> Result<(), PosesError> {
+        if !inputs.fit(record) {
+            for name in ["colmap.db", "colmap.db-wal", "colmap.db-shm"] {
+                remove(&self.folder.path().join(name))?;
+            }
+            record.photos.clear();
+        }
+        record.done = None;
+        record.features = inputs.features.to_string();
+        record.video.clone_from(&inputs.video);
+        record.photos.extend(inputs.photos.clone());
+        record.write(self.folder.path())
+    }
+
+    /// The frames of a video: those of before, where they were taken by the same settings.
+    fn frames(
+        &mut self,
+        video: &Path,
+        inputs: &PoseInputs,
+        record: &mut PosesRecord,
+    ) -> Result<UnposedPhotos, PosesError> {
+        let folder = self.folder.frames();
+        if record.frames != inputs.features.to_string() || !folder.is_dir() {
+            let missing = || PosesError::NoFfmpeg { path: video.to_owned() };
+            let ffmpeg = Ffmpeg::find().ok_or_else(missing)?;
+            self.say(format!("the sharpest frames of {} are taken", video.display()));
+            record.frames.clear();
+            record.write(self.folder.path())?;
+            remove(&folder)?;
+            std::fs::create_dir_all(&folder).map_err(|e| FileError::new("create the folder", &folder, e))?;
+            let most = self.settings.video_frames as usize;
+            self.step(PoseStep::Frames, |this| {
+                ffmpeg.take_frames(video, &folder, most, &this.children, &mut this.progress)
+            })?;
+            record.frames = inputs.features.to_string();
+            record.write(self.folder.path())?;
+        }
+        let found = UnposedPhotos::find(&folder, &SceneSettings::default())?;
+        let none =
+            || PosesError::Video { path: video.to_owned(), reason: "no frame could be written".into() };
+        found.ok_or_else(none)
+    }
+
+    /// Runs a command of COLMAP; `line` returns how many units a line of its output is worth.
+    fn colmap(
+        &mut self,
+        command: ColmapCommand,
+        mut line: impl FnMut(&str, &mut StageProgress),
+    ) -> Result<(), PosesError> {
+        let (events, progress) = (self.events, &mut self.progress);
+        let (mut lines, mut shown) = (0_u32, Instant::now());
+        self.children.run(self.colmap.program(), &command.arguments(), |text| {
+            lines += 1;
+            // A bundle adjustment of many photos takes minutes in which no unit is done.
+            if shown.elapsed() > SIGN_OF_LIFE {
+                shown = Instant::now();
+                events.metric(STAGE, "lines of COLMAP", f64::from(lines), Some(u64::from(lines)));
+            }
+            line(text, progress);
+        })
+    }
+
+    /// The features of the photos that have none yet.
+    fn features(&mut self, photos: &UnposedPhotos) -> Result<(), PosesError> {
+        let all = &photos.photos;
+        let (threads, size) = within_memory(all, self.limits, self.settings.pose_photo_size);
+        self.say(format!("{} finds features in {} photos", self.colmap.version, all.len()));
+        if size < self.settings.pose_photo_size {
+            self.events
+                .warn(Some(STAGE), format!("memory is short: photos are scaled down to {size} px for it"));
+        }
+        self.progress.next_part(Some(all.len() as u64));
+        for group in lens_groups(all, self.settings.camera_sharing, self.of_video) {
+            let images = self.folder.images()?;
+            let left = group.left(&images);
+            self.progress.cached((group.names.len() - left.len()) as u64);
+            if left.is_empty() {
+                continue;
+            }
+            let list = self.folder.path().join("photos.txt");
+            files::write_atomic(&list, left.join("\n").as_bytes())?;
+            let mut command = self
+                .colmap
+                .command("feature_extractor")?
+                .path("database_path", &self.folder.database())
+                .path("image_path", &photos.folder)
+                .path("image_list_path", &list)
+                .option(
+                    &["SiftExtraction.use_gpu", "FeatureExtraction.use_gpu"],
+                    u8::from(self.colmap.has_cuda),
+                )
+                .option(&["SiftExtraction.num_threads", "FeatureExtraction.num_threads"], threads)
+                .option(&["SiftExtraction.max_image_size", "FeatureExtraction.max_image_size"], size);
+            if group.shared {
+                command = match group.camera(&images) {
+                    Some(camera) => command.option(&["ImageReader.existing_camera_id"], camera),
+                    None => command.option(&["ImageReader.single_camera"], 1),
+                };
+            }
+            self.colmap(command, |line, progress| {
+                progress.advance(u64::from(line.contains("Processed file [")));
+            })?;
+        }
+        Ok(())
+    }
+
+    /// The pairs that show the same, of those that were not compared yet.
+    fn pairs(&mut self, photos: &UnposedPhotos) -> Result<(), PosesError> {
+        let count = photos.photos.len();
+        let choice = pairs::decided(self.settings.pair_choice, count, self.of_video);
+        self.say(pairs::in_words(choice, count));
+        match choice {
+            PairChoice::Nearest => self.nearest(count, pairs::NEAREST),
+            PairChoice::Sequential => {
+                let command = self
+                    .matcher("sequential_matcher")?
+                    .option(&["SequentialMatching.overlap"], pairs::FOLLOWING)
+                    .option(&["SequentialMatching.quadratic_overlap"], 1);
+                self.per_photo(command, count)?;
+                self.nearest(count, pairs::RETURNING)
+            }
+            PairChoice::Exhaustive | PairChoice::Auto => {
+                let command = self
+                    .matcher("exhaustive_matcher")?
+                    .option(&["ExhaustiveMatching.block_size"], pairs::BLOCK);
+                self.progress.next_part(Some((count as u64).div_ceil(pairs::BLOCK).pow(2)));
+                self.colmap(command, |line, progress| {
+                    if let Some((done, total)) = line
+                        .contains("Matching block")
+                        .then(|| pairs::blocks(&numbers_in(line, '[', ']')))
+                        .flatten()
+                    {
+                        progress.set_total(total);
+                        progress.advance(done.saturating_sub(progress.done()));
+                    }
+                })
+            }
+        }
+    }
+
+    /// A command that compares photos.
+    fn matcher(&self, name: &str) -> Result<ColmapCommand, PosesError> {
+        let command = self.colmap.command(name)?.path("database_path", &self.folder.database());
+        Ok(command
+            .option(&["SiftMatching.use_gpu", "FeatureMatching.use_gpu"], u8::from(self.colmap.has_cuda))
+            .option(&["SiftMatching.num_threads", "FeatureMatching.num_threads"], self.limits.threads))
+    }
+
+    /// Runs a command that compares photo by photo.
+    fn per_photo(&mut self, command: ColmapCommand, count: usize) -> Result<(), PosesError> {
+        self.progress.next_part(Some(count as u64));
+        self.colmap(command, |line, progress| {
+            progress.advance(u64::from(line.contains("Matching image [")));
+        })
+    }
+
+    /// Compares each photo with those most similar by a vocabulary tree of the photos themselves.
+    fn nearest(&mut self, count: usize, nearest: u64) -> Result<(), PosesError> {
+        let tree = self.folder.path().join("vocabulary.tree");
+        let images = self.folder.images()?;
+        let features: u64 = images.values().filter_map(|image| image.features).sum();
+        // The tree is made of some of the photos alone.
+        let features = features * pairs::TREE_PHOTOS.min(images.len()) as u64 / images.len().max(1) as u64;
+        self.progress.next_part(None);
+        let command = self
+            .colmap
+            .command("vocab_tree_builder")?
+            .path("database_path", &self.folder.database())
+            .path("vocab_tree_path", &tree)
+            .option(&["num_visual_words"], pairs::tree_words(features))
+            .option(&["branching"], pairs::TREE_BRANCHES)
+            .option(&["num_iterations"], pairs::TREE_ROUNDS)
+            .option(&["num_checks"], pairs::TREE_CHECKS)
+            .option(&["max_num_images"], pairs::TREE_PHOTOS.min(count));
+        self.colmap(command, |_, _| {})?;
+        let command = self
+            .matcher("vocab_tree_matcher")?
+            .path("VocabTreeMatching.vocab_tree_path", &tree)
+            .option(&["VocabTreeMatching.num_images"], nearest);
+        self.per_photo(command, count)
+    }
+
+    /// Poses and points: the models of all photos, and the reasons of photos without a pose.
+    fn model(&mut self, photos: &UnposedPhotos, plan: &PosePlan) -> Result<PosesDone, PosesError> {
+        let count = photos.photos.len();
+        let (list, models) = (self.folder.path().join("photos.txt"), self.folder.models());
+        let names: Vec<&str> = photos.photos.iter().map(|photo| photo.name.as_str()).collect();
+        files::write_atomic(&list, names.join("\n").as_bytes())?;
+        remove(&models)?;
+        std::fs::create_dir_all(&models).map_err(|e| FileError::new("create the folder", &models, e))?;
+        let command = self
+            .colmap
+            .command("mapper")?
+            .path("database_path", &self.folder.database())
+            .path("image_path", &photos.folder)
+            .path("image_list_path", &list)
+            .path("output_path", &models)
+            .option(&["Mapper.num_threads"], self.limits.threads)
+            .option(&["Mapper.min_model_size"], LEAST_PHOTOS);
+        self.say(format!("{} finds the poses of {count} photos", self.colmap.version));
+        self.progress.next_part(Some(count as u64));
+        let mapped = self.colmap(command, |line, progress| {
+            if line.contains("Registering image #") {
+                let posed = numbers_in(line, '(', ')').first().copied().unwrap_or(0);
+                progress.advance(posed.saturating_sub(progress.done()));
+            }
+        });
+        let models = read_models(&models)?;
+        let facts = PhotoFacts::of(self.folder.open_database()?)?;
+        match mapped {
+            // COLMAP reports a failure where it made no model.
+            Err(PosesError::Program { .. }) | Ok(()) if models.is_empty() => Err(PosesError::NoModel {
+                path: photos.folder.clone(),
+                photos: count,
+                reason: facts.nothing(count),
+            }),
+            Err(error) => Err(error),
+            Ok(()) => {
+                let unposed = facts.unposed(names.into_iter(), &models);
+                let models = models.into_iter().map(|model| model.size).collect();
+                let colmap = self.colmap.version.clone();
+                Ok(PosesDone { key: plan.key.to_string(), colmap, models, unposed })
+            }
+        }
+    }
+}
