@@ -5,12 +5,10 @@
 //! bytes. Values are passed through as they are, even when they are not finite: the renderer culls those.
 
 mod before;
-mod export;
 mod header;
 mod points;
 mod values;
 
-pub use export::Export;
 pub(crate) use points::{Coloured, read_points};
 
 use crate::{SceneError, Splats};
@@ -93,7 +91,7 @@ pub fn write_with(path: &Path, splats: &Splats, extra: &[(&str, &[u8])]) -> Resu
 }
 
 /// The bytes of the file, with comments in the header, each without line ends.
-fn to_bytes(splats: &Splats, extra: &[(&str, &[u8])], comments: &[String]) -> Vec<u8> {
+pub(crate) fn to_bytes(splats: &Splats, extra: &[(&str, &[u8])], comments: &[String]) -> Vec<u8> {
     let n = splats.len();
     let stride = splats.sh_stride();
     assert!(

@@ -80,6 +80,30 @@ impl Splats {
     }
 }
 
+/// Of the 16 basis functions, whether each changes its sign with x, with y and with z.
+const ODD: [[bool; 3]; 16] = {
+    const O: bool = true;
+    const E: bool = false;
+    [
+        [E, E, E],
+        [E, O, E],
+        [E, E, O],
+        [O, E, E],
+        [O, O, E],
+        [E, O, O],
+        [E, E, E],
+        [O, E, O],
+        [E, E, E],
+        [E, O, E],
+        [O, O, O],
+        [E, O, E],
+        [E, E, O],
+        [O, E, E],
+        [E, E, O],
+        [O, E, E],
+    ]
+};
+
 impl Splats {
     /// The same shapes in black, with no directions: what density control works on.
     pub fn uncoloured(&self) -> Splats {
@@ -113,6 +137,22 @@ impl Splats {
         self.moved(map_mean, -frame.scale.ln())
     }
 
+    /// The same splats turned by half a turn about an axis (0: x, 1: y, 2: z). Every basis function of the colour keeps its form or
+    /// changes its sign.
+    pub fn half_turned(&self, axis: usize) -> Splats {
+        let signs = [0, 1, 2].map(|k| if k == axis { 1.0 } else { -1.0 });
+        let of_basis = ODD.map(|odd| (0..3).filter(|&k| odd[k]).map(|k| signs[k]).product::<f32>());
+        let [a, b, c] = signs;
+        let stride = self.sh_stride();
+        Splats {
+            means: self.means.iter().map(|&[x, y, z]| [a * x, b * y, c * z]).collect(),
+            // The axes of a splat have no direction: the signs of two of them may change as well.
+            rotations: self.rotations.iter().map(|&[w, x, y, z]| [w, a * x, b * y, c * z]).collect(),
+            sh: self.sh.iter().enumerate().map(|(i, v)| v * of_basis[i % stride / 3]).collect(),
+            ..self.clone()
+        }
+    }
+
     fn moved(&self, map_mean: impl Fn([f32; 3]) -> [f32; 3], log_scale: f64) -> Splats {
         Splats {
             means: self.means.iter().map(|&m| map_mean(m)).collect(),
@@ -122,6 +162,62 @@ impl Splats {
                 .map(|s| s.map(|v| (f64::from(v) + log_scale) as f32))
                 .collect(),
             ..self.clone()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The basis functions, without their constants.
+    fn basis([x, y, z]: [f32; 3]) -> [f32; 16] {
+        let zz = 2.0 * z * z - x * x - y * y;
+        let edge = 4.0 * z * z - x * x - y * y;
+        [
+            1.0,
+            y,
+            z,
+            x,
+            x * y,
+            y * z,
+            zz,
+            x * z,
+            x * x - y * y,
+            y * (3.0 * x * x - y * y),
+            x * y * z,
+            y * edge,
+            z * (2.0 * z * z - 3.0 * x * x - 3.0 * y * y),
+            x * edge,
+            z * (x * x - y * y),
+            x * (x * x - 3.0 * y * y),
+        ]
+    }
+
+    #[test]
+    fn turned_splats_render_the_same_from_the_turned_camera() {
+        let splats = Splats {
+            means: vec![[1.0, 2.0, 3.0]],
+            log_scales: vec![[-1.0, 0.0, 0.5]],
+            rotations: vec![[0.8, 0.3, -0.4, 0.33]],
+            opacities: vec![0.0],
+            sh_degree: 3,
+            sh: (0..48).map(|i| (i as f32).sin()).collect(),
+        };
+        for axis in 0..3 {
+            let turned = splats.half_turned(axis);
+            let signs = [0, 1, 2].map(|k| if k == axis { 1.0 } else { -1.0 });
+            let flip = Mat3::from_diagonal(Vec3::from(signs));
+            assert_eq!(turned.mean(0), flip * splats.mean(0));
+            let off = turned.covariance(0) - flip * splats.covariance(0) * flip;
+            assert!(off.to_cols_array().iter().all(|v| v.abs() < 1e-5), "{off}");
+            let from = Vec3::new(0.36, -0.48, 0.8);
+            let colour = |s: &Splats, from: Vec3| -> f32 {
+                basis(from.to_array()).iter().enumerate().map(|(k, b)| b * s.sh[3 * k]).sum()
+            };
+            let there = colour(&turned, flip * from);
+            assert!((colour(&splats, from) - there).abs() < 1e-5, "{there}");
+            assert_eq!(turned.half_turned(axis), splats);
         }
     }
 }

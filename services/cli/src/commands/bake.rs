@@ -10,7 +10,7 @@ use segwild_pipeline::{BakeRequest, RunFolder, ScenePart};
 /// The command's arguments.
 pub fn command() -> Command {
     Command::new("bake")
-        .about("Write splats with an appearance as a .ply for any viewer: the scene or a selection")
+        .about("Write splats with an appearance for any viewer: the scene or a selection")
         .arg(args::run())
         .args(appearances("scene's own"))
         .arg(selection("The selection to write"))
@@ -19,11 +19,11 @@ pub fn command() -> Command {
             ["only", "without", "scene"],
             "What is written [default: only with --selection; scene otherwise, and with --object-appearance]",
         ))
-        .arg(args::path("out", "The file [default: RUN/baked.ply]"))
+        .arg(args::path("out", "The file, .ply, .spz or .glb [default: RUN/baked.ply]"))
         .arg(json())
         .after_help(examples(
             "segwild bake runs/trevi --appearance sunset.jpg --out trevi.ply",
-            "segwild bake runs/trevi --selection oceanus --appearance none --out oceanus.ply",
+            "segwild bake runs/trevi --selection oceanus --appearance none --out oceanus.spz",
         ))
 }
 

@@ -201,3 +201,27 @@ fn a_budget_is_decided_once_reported_with_its_evidence_and_undone_by_name() {
     let reused = plan.lines().any(|line| line.contains("\"geometry\"") && line.contains("\"reused\""));
     assert_eq!(reused, steps == 2000, "{plan}");
 }
+
+#[test]
+fn splats_are_written_in_the_format_that_the_ending_names() {
+    let run = show(&shared_run().run);
+    let dir = folder();
+    let baked = |name: &str| {
+        let file = dir.path().join(name);
+        works(&["bake", &run, "--out", &show(&file)]);
+        std::fs::read(&file).expect("a file")
+    };
+    let (ply, spz, glb) = (baked("a.ply"), baked("a.spz"), baked("a.GLB"));
+    assert!(ply.starts_with(b"ply\n") && glb.starts_with(b"glTF"));
+    assert!(
+        spz.starts_with(&[0x1f, 0x8b]) && 4 * spz.len() < ply.len(),
+        "{} bytes of {}",
+        spz.len(),
+        ply.len()
+    );
+    let document = String::from_utf8_lossy(&glb);
+    assert!(document.contains("KHR_gaussian_splatting:ROTATION") && document.contains("SplatRenderMode"));
+    let other = show(&dir.path().join("a.obj"));
+    refuses(&["bake", &run, "--out", &other], 2, &["a.obj", ".ply, .spz or .glb"]);
+    assert!(!dir.path().join("a.obj").exists());
+}

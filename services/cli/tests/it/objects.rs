@@ -78,6 +78,9 @@ fn objects_are_exported_for_other_tools_and_one_is_refined_by_the_photos() {
     let night = dir.path().join("night");
     refuses(&["objects", &text, "--out", &show(&night), "--appearance", "nobody.jpg"], 2, &["no photo"]);
     assert!(!night.exists());
+    let packed = dir.path().join("packed");
+    works(&["objects", &text, "--out", &show(&packed), "--format", "spz"]);
+    assert!(packed.join("statue.spz").is_file() && packed.join("labels.ply").is_file());
     // One object, refined: by its name and by its number.
     let select = |object: &str| {
         works(&["segment", &text, "--object", object, "--name", "one"]);

@@ -1,8 +1,7 @@
 //! Requested appearances: a photo's, interpolated between photos, stronger or weaker, for the scene and for one object.
 
 use crate::{RunError, RunFolder, Selected};
-use segwild_scene::ply::Export;
-use segwild_scene::{Scene, Splats};
+use segwild_scene::{Export, Scene, SplatFormat, Splats};
 use segwild_trainer::{Model, SceneLight, SceneLighting};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -128,7 +127,7 @@ pub struct BakeRequest {
     pub selection: Option<String>,
     /// What of the scene is written.
     pub part: ScenePart,
-    /// The file.
+    /// The file; its ending names the format.
     pub out: PathBuf,
 }
 
@@ -155,8 +154,9 @@ pub struct Baked {
 /// Writes the scene, or a part of it, with an appearance.
 ///
 /// # Errors
-/// When the run is not trained yet, the request does not fit the run, or the file cannot be written.
+/// When the run is not trained yet, the request does not fit the run, the file's ending names no format, or it cannot be written.
 pub fn bake(folder: &RunFolder, request: &BakeRequest) -> Result<Baked, RunError> {
+    SplatFormat::of(&request.out).map_err(|error| RunError::Request(error.to_string()))?;
     let loaded = folder.load()?;
     let (scene, mut model) = (&loaded.scene, loaded.model);
     let mut whose = vec![false; model.splats.len()];

@@ -8,8 +8,7 @@ use crate::output::render::{HIGHLIGHT, NOTHING, over_white};
 use crate::{PhotoPrompts, RunError, transients};
 use segwild_flow::Stopper;
 use segwild_raster::{Channels, CpuEngine, FrontLayer};
-use segwild_scene::ply::Export;
-use segwild_scene::{BoxPrompt, Camera, Image, Mask, PointPrompt, Pose, Prompts, Splats};
+use segwild_scene::{BoxPrompt, Camera, Export, Image, Mask, PointPrompt, Pose, Prompts, Splats};
 use segwild_trainer::{Model, SceneLighting, render_lit};
 
 /// Numbers per splat that a highlight blends: colour times share, and share.

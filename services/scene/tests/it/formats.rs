@@ -274,7 +274,7 @@ fn a_georeferenced_export_keeps_its_precision_by_an_offset() {
     for origin in [DVec3::new(448_262.3, 5_411_932.7, 35.0), DVec3::new(4_156_305.1, 671_404.6, -4_774_508.2)]
     {
         let frame = SceneFrame { origin, scale: 4.0 };
-        ply::Export { frame: &frame, antialias: true, extra: &[] }.write(&path, &s).unwrap();
+        segwild_scene::Export { frame: &frame, antialias: true, extra: &[] }.write(&path, &s).unwrap();
         let (head, beside) = header_and_offset(&path);
         let offset = frame.offset();
         assert!(head.contains(&format!("comment offset {} {} {}\n", offset.x, offset.y, offset.z)), "{head}");
@@ -289,7 +289,7 @@ fn a_georeferenced_export_keeps_its_precision_by_an_offset() {
     }
     // Another scene into the same place: nothing of the old offset is left.
     let frame = SceneFrame { origin: DVec3::new(100.0, -20.0, 3.0), scale: 4.0 };
-    ply::Export { frame: &frame, antialias: false, extra: &[] }.write(&path, &s).unwrap();
+    segwild_scene::Export { frame: &frame, antialias: false, extra: &[] }.write(&path, &s).unwrap();
     let (head, beside) = header_and_offset(&path);
     assert!(!head.contains("offset") && beside.is_none(), "{head}");
 }
@@ -302,7 +302,9 @@ fn an_export_names_its_render_mode_and_is_else_as_before() {
     ply::write_with(&plain, &s.to_file_frame(&frame), &[("label", &[1; 7])]).unwrap();
     let plain = std::fs::read(&plain).unwrap();
     for (antialias, mode) in [(true, "mip"), (false, "default")] {
-        ply::Export { frame: &frame, antialias, extra: &[("label", &[1; 7])] }.write(&path, &s).unwrap();
+        segwild_scene::Export { frame: &frame, antialias, extra: &[("label", &[1; 7])] }
+            .write(&path, &s)
+            .unwrap();
         let comment = format!("comment SplatRenderMode: {mode}\n");
         let (head, _) = header_and_offset(&path);
         assert_eq!(head.matches("comment").count(), 1);

@@ -5,7 +5,7 @@ use glam::DVec3;
 use segwild_objective::psnr;
 use segwild_raster::ProjectOptions;
 use segwild_raster::reference::{Parameters, Reference, shade};
-use segwild_scene::ply::{self, Export};
+use segwild_scene::{Export, ply};
 use segwild_scene::{Image, Pose, SceneFrame, View};
 use segwild_trainer::{Model, TrainSettings, render_view};
 

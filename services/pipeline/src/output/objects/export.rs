@@ -9,8 +9,7 @@ use crate::settings::AT_ONCE;
 use crate::{RunError, Session};
 use rayon::prelude::*;
 use segwild_flow::{Phase, Stopper, files};
-use segwild_scene::Mask;
-use segwild_scene::ply::Export;
+use segwild_scene::{Export, Mask, SplatFormat};
 use segwild_segmenter::PosedView;
 use segwild_segmenter::scene_tree::{PartMap, SceneParts};
 use serde::Serialize;
@@ -21,7 +20,7 @@ use std::path::{Path, PathBuf};
 pub struct ExportedObjects {
     /// The folder.
     pub folder: PathBuf,
-    /// Objects, one `.ply` each.
+    /// Objects, a file each.
     pub objects: usize,
     /// Masks in `coco.json`.
     pub masks: usize,
@@ -34,7 +33,7 @@ impl ObjectList {
     }
 }
 
-/// Writes all objects of a run's list into the folder `out`, as a whole or not at all: `NAME.ply` of each, `labels.ply` (the whole scene;
+/// Writes all objects of a run's list into the folder `out`, as a whole or not at all: a file of each in `format`, `labels.ply` (the whole scene;
 /// the property `object` is the number, 0 for none), `coco.json` (their masks on all photos, as taken), `objects.json` and
 /// `sheet.png`. Colours have the appearance of the photo `appearance`, or the scene's own if it is empty. Spikes are not
 /// cut: [`Session::ask`] refines one object.
@@ -46,6 +45,7 @@ pub fn export_objects(
     listed: &ListedObjects,
     out: &Path,
     appearance: &str,
+    format: SplatFormat,
     stopper: &Stopper,
 ) -> Result<ExportedObjects, RunError> {
     if out.read_dir().is_ok_and(|mut entries| entries.next().is_some()) {
@@ -65,7 +65,7 @@ pub fn export_objects(
         for object in &listed.list.objects {
             let holds = |i: &usize| usize::from(listed.parts.labels[*i]) == object.number;
             let splats: Vec<usize> = (0..in_colour.len()).filter(holds).collect();
-            export.write(&aside.join(format!("{}.ply", object.label())), &in_colour.select(&splats))?;
+            export.write(&aside.join(format!("{}.{format}", object.label())), &in_colour.select(&splats))?;
         }
         let labelled = Export { extra: &[("object", &listed.parts.labels)], ..export };
         labelled.write(&aside.join("labels.ply"), &in_colour)?;

@@ -1,11 +1,16 @@
 //! Splats for other programs: in the units of the reconstruction, near enough to the origin for single precision, in a file
-//! whose header gives the render mode and the offset that was subtracted.
+//! that gives the render mode and the offset that was subtracted, where its format can.
 
-use super::to_bytes;
-use crate::{SceneError, SceneFrame, Splats};
+mod glb;
+mod spz;
+
+use crate::ply::to_bytes;
+use crate::settings::Value as _;
+use crate::{SceneError, SceneFrame, Splats, choice};
 use glam::DVec3;
 use segwild_files::write_atomic;
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 use std::path::{Path, PathBuf};
 
 /// From so many scene extents on, coordinates do not fit single precision: what is half of a millionth of the extent becomes
@@ -35,6 +40,44 @@ impl SceneFrame {
     }
 }
 
+choice! {
+    /// A format of files of splats.
+    pub enum SplatFormat {
+        /// The layout of 3D Gaussian splatting: every property as a 32-bit float.
+        Ply = "ply",
+        /// Niantic's packed splats, about a tenth as large.
+        Spz = "spz",
+        /// Binary glTF with `KHR_gaussian_splatting`.
+        Glb = "glb",
+    }
+}
+
+impl SplatFormat {
+    /// The format that a file's ending names.
+    ///
+    /// ```
+    /// use segwild_scene::SplatFormat;
+    /// assert_eq!(SplatFormat::of("statue.SPZ".as_ref()).ok(), Some(SplatFormat::Spz));
+    /// assert!(SplatFormat::of("statue.obj".as_ref()).is_err());
+    /// ```
+    ///
+    /// # Errors
+    /// When it names none that is written.
+    pub fn of(path: &Path) -> Result<SplatFormat, SceneError> {
+        let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        let refused = || {
+            let reason = "splats are written as .ply, .spz or .glb; splat-transform makes others of a .ply";
+            SceneError::invalid(path, "its ending", reason)
+        };
+        SplatFormat::read(&ending).map_err(|_| refused())
+    }
+}
+
+/// About x: from COLMAP's axes (x right, y down, z ahead) to those of `.spz` (x right, y up, z towards the viewer).
+const X: usize = 0;
+/// About z: to those of glTF (x left, y up, z ahead).
+const Z: usize = 2;
+
 /// How a file of splats was made.
 #[derive(Clone, Copy, Debug)]
 pub struct Export<'a> {
@@ -42,35 +85,55 @@ pub struct Export<'a> {
     pub frame: &'a SceneFrame,
     /// Whether opacities are compensated for the pixel filter (mip mode): a viewer has to do the same.
     pub antialias: bool,
-    /// More properties of each splat: a name, and a byte per splat.
+    /// More properties of each splat, for a `.ply`: a name, and a byte per splat.
     pub extra: &'a [(&'a str, &'a [u8])],
 }
 
 impl Export<'_> {
-    /// Writes splats of the normalised frame in the units of the reconstruction, less [`SceneFrame::offset`]. The header gives the
-    /// render mode (`comment SplatRenderMode: mip`, or `default`) and, where there is one, the offset (`comment offset
-    /// X Y Z`); the offset is also written to `NAME.offset.json` beside the file.
+    /// Writes splats of the normalised frame in the units of the reconstruction, less [`SceneFrame::offset`], in the format that
+    /// the file's ending names. The offset, where there is one, is also written to `NAME.offset.json` beside the file.
+    ///
+    /// # Errors
+    /// When the ending names no format, or the disk fails.
     ///
     /// # Panics
-    /// As [`super::write_with`].
+    /// As [`crate::ply::write_with`].
     pub fn write(&self, path: &Path, splats: &Splats) -> Result<(), SceneError> {
-        write_atomic(path, &self.to_bytes(splats))?;
+        let bytes = match SplatFormat::of(path)? {
+            SplatFormat::Ply => self.to_bytes(splats),
+            SplatFormat::Spz => spz::to_bytes(&self.in_file_frame(splats).half_turned(X), self.antialias)
+                .map_err(SceneError::io(path))?,
+            SplatFormat::Glb => {
+                let notes =
+                    json!({ "SplatRenderMode": self.mode(), "offset": self.frame.offset().to_array() });
+                glb::to_bytes(&self.in_file_frame(splats).half_turned(Z), &notes)
+            }
+        };
+        write_atomic(path, &bytes)?;
         note(path, self.frame.offset())
     }
 
-    /// The bytes of the file that [`Export::write`] writes.
+    fn mode(&self) -> &'static str {
+        if self.antialias { "mip" } else { "default" }
+    }
+
+    fn in_file_frame(&self, splats: &Splats) -> Splats {
+        let origin = self.frame.origin - self.frame.offset();
+        splats.to_file_frame(&SceneFrame { origin, scale: self.frame.scale })
+    }
+
+    /// The bytes of a `.ply`. Its header gives the render mode (`comment SplatRenderMode: mip`, or `default`) and, where there is
+    /// one, the offset (`comment offset X Y Z`).
     ///
     /// # Panics
-    /// As [`super::write_with`].
+    /// As [`crate::ply::write_with`].
     pub fn to_bytes(&self, splats: &Splats) -> Vec<u8> {
-        let offset = self.frame.offset();
-        let near = SceneFrame { origin: self.frame.origin - offset, scale: self.frame.scale };
-        let mode = if self.antialias { "mip" } else { "default" };
+        let (offset, mode) = (self.frame.offset(), self.mode());
         let mut comments = vec![format!("SplatRenderMode: {mode}")];
         if offset != DVec3::ZERO {
             comments.push(format!("offset {} {} {}", offset.x, offset.y, offset.z));
         }
-        to_bytes(&splats.to_file_frame(&near), self.extra, &comments)
+        to_bytes(&self.in_file_frame(splats), self.extra, &comments)
     }
 }
 
