@@ -205,8 +205,9 @@ impl Estimation<'_> {
                 .warn(Some(STAGE), format!("memory is short: photos are scaled down to {size} px for it"));
         }
         self.progress.next_part(Some(all.len() as u64));
+        // No photo is in two groups, so that what was there before the first is enough.
+        let images = self.folder.images()?;
         for group in lens_groups(all, self.settings.camera_sharing, self.of_video) {
-            let images = self.folder.images()?;
             let left = group.left(&images);
             self.progress.cached((group.names.len() - left.len()) as u64);
             if left.is_empty() {

@@ -53,8 +53,10 @@ pub fn open(
         }
         false => compute(folder, &source, &plan, settings, ledger, options)?,
     };
-    // The ledger may be younger than the poses.
-    ledger.finish_stage(Stage::Poses.name(), &plan.key, None)?;
+    // The ledger may be younger than the poses; a row that is done keeps its times.
+    if !ledger.stage_is_done(Stage::Poses.name(), &plan.key)? {
+        ledger.finish_stage(Stage::Poses.name(), &plan.key, None)?;
+    }
     Ok(OpenedScene { scene: folder.open_posed(path, &settings.scene)?, posed: true, spans })
 }
 

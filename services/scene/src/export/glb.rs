@@ -1,6 +1,7 @@
 //! `.glb` with `KHR_gaussian_splatting`, ratified by Khronos: one mesh of points whose attributes are the splats, as 32-bit
 //! floats. Programs that do not know the extension show the points in their colours.
 
+use super::rotation::unit_rotation;
 use crate::Splats;
 use serde_json::{Value, json};
 
@@ -93,7 +94,7 @@ fn mesh(splats: &Splats) -> MeshBuffer {
     mesh.add("COLOR_0", "VEC4", count, colour, None);
     let named = |name: &str| format!("KHR_gaussian_splatting:{name}");
     mesh.add(&named("SCALE"), "VEC3", count, |i| splats.scale(i).to_array(), None);
-    mesh.add(&named("ROTATION"), "VEC4", count, |i| rotation(splats.rotations[i]), None);
+    mesh.add(&named("ROTATION"), "VEC4", count, |i| unit_rotation(splats.rotations[i]), None);
     mesh.add(&named("OPACITY"), "SCALAR", count, |i| [splats.opacity(i)], None);
     for degree in 0..=splats.sh_degree as usize {
         for coefficient in 0..=2 * degree {
@@ -103,12 +104,6 @@ fn mesh(splats: &Splats) -> MeshBuffer {
         }
     }
     mesh
-}
-
-/// A unit quaternion (x, y, z, w) of (w, x, y, z); the identity for one that is none.
-fn rotation([w, x, y, z]: [f32; 4]) -> [f32; 4] {
-    let length = (w * w + x * x + y * y + z * z).sqrt();
-    if length > 0.0 && length.is_finite() { [x, y, z, w].map(|v| v / length) } else { [0.0, 0.0, 0.0, 1.0] }
 }
 
 /// Linear light of an sRGB value: glTF's colours are linear.

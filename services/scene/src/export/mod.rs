@@ -2,6 +2,7 @@
 //! that gives the render mode and the offset that was subtracted, where its format can.
 
 mod glb;
+mod rotation;
 mod spz;
 
 use crate::ply::to_bytes;

@@ -1,6 +1,7 @@
 //! `.spz`, Niantic's packed splats: about a tenth of a `.ply`. Version 3, which every reader of the format knows: one gzip
 //! stream of a header and one array per property (github.com/nianticlabs/spz, `docs` and `src/cc/load-spz.cc`).
 
+use super::rotation::unit_rotation;
 use crate::Splats;
 use flate2::Compression;
 use flate2::write::GzEncoder;
@@ -65,14 +66,8 @@ fn position(value: f32, fraction: i32) -> [u8; 3] {
 }
 
 /// A rotation (w, x, y, z): two bits for the largest component, and of each other one its sign and nine bits.
-fn smallest_three([w, x, y, z]: [f32; 4]) -> u32 {
-    let length = (w * w + x * x + y * y + z * z).sqrt();
-    // The identity stands for a rotation that is none.
-    let whole = if length > 0.0 && length.is_finite() {
-        [x, y, z, w].map(|v| v / length)
-    } else {
-        [0.0, 0.0, 0.0, 1.0]
-    };
+fn smallest_three(rotation: [f32; 4]) -> u32 {
+    let whole = unit_rotation(rotation);
     let largest = (1..4).fold(0, |best, i| if whole[i].abs() > whole[best].abs() { i } else { best });
     let negative = whole[largest] < 0.0;
     let most = ((1 << 9) - 1) as f32;
