@@ -24,7 +24,7 @@ fn a_table_of_baselines_is_printed_kept_and_written_as_a_page() {
     let dir = folder();
     let (out, page) = (show(dir.path()), dir.path().join("page.md"));
     let bench = |row: &str, more: &[&str]| {
-        let small = ["--photos", "6", "--pixels", "80", "--steps", "40", "--refine-steps", "0"];
+        let small = ["--photo-count", "6", "--pixels", "80", "--steps", "40", "--refine-steps", "0"];
         let rest = ["--prompt-budget", "8", "--seeds", "5", "--only", row, "--out", &out];
         let start = ["bench", "synthetic", "--table", "baselines"];
         let all: Vec<&str> = start.iter().chain(&small).chain(&rest).chain(more).copied().collect();

@@ -65,7 +65,7 @@ fn a_chart_goes_on_where_it_stopped_and_refuses_another_default() {
     let dir = folder();
     let out = show(dir.path());
     let chart = |only: &str, more: &[&str]| {
-        let small = ["--photos", "6", "--pixels", "64", "--refine-steps", "0", "--prompt-budget", "8"];
+        let small = ["--photo-count", "6", "--pixels", "64", "--refine-steps", "0", "--prompt-budget", "8"];
         let rest = ["--steps", "30", "--seeds", "1", "--only", only, "--out", out.as_str()];
         let start = ["bench", "chart"];
         start.iter().chain(&small).chain(&rest).chain(more).map(|w| (*w).to_owned()).collect::<Vec<String>>()

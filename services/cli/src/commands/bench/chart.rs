@@ -42,7 +42,9 @@ pub fn command() -> Command {
                 .default_value("1,2")
                 .help("Seeds of the training, with commas: what the error bars are over"),
         )
-        .arg(number("photos", "24", "Training photos of a synthetic place").value_parser(value_parser!(u32)))
+        .arg(number("photo-count", "24", "Training photos of a synthetic place")
+                .alias("photos")
+                .value_parser(value_parser!(u32)))
         .arg(number("pixels", "240", "Long side of a synthetic place's photos").value_parser(value_parser!(u32)))
         .arg(
             number("occlusion", "0.1", "Share of each synthetic photo that transients cover, 0 to 0.6")
@@ -71,7 +73,7 @@ pub fn point_command() -> Command {
 pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
     let out = path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/chart"));
     let json = matches.get_flag("json");
-    let photos = *matches.get_one::<u32>("photos").expect("it has a default") as usize;
+    let photos = *matches.get_one::<u32>("photo-count").expect("it has a default") as usize;
     let (sources, about) = match path_of(matches, "scene") {
         Some(scene) => {
             let scene = std::path::absolute(&scene)?;

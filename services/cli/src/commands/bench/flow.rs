@@ -22,8 +22,9 @@ pub fn command() -> Command {
         )
         .arg(number("kills", "50", "Runs that are killed").value_parser(value_parser!(u32).range(1..)))
         .arg(
-            Arg::new("photos")
-                .long("photos")
+            Arg::new("photo-count")
+                .long("photo-count")
+                .alias("photos")
                 .value_name("LIST")
                 .default_value("100,1000")
                 .help("Photos of the two scenes whose memory is compared"),
@@ -39,8 +40,8 @@ pub fn command() -> Command {
 /// Prints the ratios that the dataflow promises.
 pub fn flow(matches: &ArgMatches) -> Result<(), Failure> {
     let json = matches.get_flag("json");
-    let [few, many] = numbers(matches, "photos")?[..] else {
-        return Err(Failure::usage("--photos: expected two numbers with a comma, as in 100,1000"));
+    let [few, many] = numbers(matches, "photo-count")?[..] else {
+        return Err(Failure::usage("--photo-count: expected two numbers with a comma, as in 100,1000"));
     };
     let options = FlowOptions {
         dir: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/flow")),

@@ -16,7 +16,7 @@ pub fn command() -> Command {
     };
     Command::new("scale")
         .about("How time and memory grow, with slopes: splats, photos, pixels, channels, objects")
-        .after_help(examples("segwild bench scale", "segwild bench scale --photos 10,100 --splats 2000,16000"))
+        .after_help(examples("segwild bench scale", "segwild bench scale --photo-count 10,100 --splats 2000,16000"))
         .arg(
             Arg::new("only")
                 .long("only")
@@ -26,7 +26,7 @@ pub fn command() -> Command {
         .arg(sizes("kernel-splats", "1000,10000,100000,500000,2000000", "Splats of the kernels' frame"))
         .arg(sizes("kernel-pixels", "160,320,640,1280", "Widths of the kernels' frame"))
         .arg(sizes("kernel-channels", "3,16,32,64,128", "Channels of the kernels' frame"))
-        .arg(sizes("photos", "10,30,100,300", "Photos of whole runs"))
+        .arg(sizes("photo-count", "10,30,100,300", "Photos of whole runs").alias("photos"))
         .arg(sizes("splats", "2000,16000,64000", "Most splats of whole runs"))
         .arg(sizes("pixels", "80,160,320", "Long sides of the photos of whole runs"))
         .arg(path("out", "Folder for results; what is there is not measured again [default: .bench/scale]"))
@@ -44,7 +44,7 @@ pub fn scale(matches: &ArgMatches) -> Result<(), Failure> {
         kernel_splats: numbers(matches, "kernel-splats")?,
         kernel_pixels: numbers(matches, "kernel-pixels")?,
         kernel_channels: numbers(matches, "kernel-channels")?,
-        photos: numbers(matches, "photos")?,
+        photos: numbers(matches, "photo-count")?,
         splats: numbers(matches, "splats")?,
         pixels: numbers(matches, "pixels")?,
     };

@@ -14,14 +14,18 @@ use std::path::PathBuf;
 /// Adds what a synthetic scene is made of.
 pub fn with_scene(command: Command, photos: &'static str, pixels: &'static str) -> Command {
     command
-        .arg(number("photos", photos, "Training photos of each scene").value_parser(value_parser!(u32)))
+        .arg(
+            number("photo-count", photos, "Training photos of each scene")
+                .alias("photos")
+                .value_parser(value_parser!(u32)),
+        )
         .arg(number("pixels", pixels, "Long side of the photos").value_parser(value_parser!(u32)))
 }
 
 /// What [`with_scene`] was given, but for the seed.
 pub fn scene_of(matches: &ArgMatches) -> SyntheticOptions {
     let number = |name: &str| *matches.get_one::<u32>(name).expect("it has a default");
-    let photos = number("photos") as usize;
+    let photos = number("photo-count") as usize;
     SyntheticOptions {
         train: photos,
         test: photos.div_ceil(5),

@@ -19,7 +19,7 @@ pub fn command() -> Command {
         .about("Where it fails, and whether it says so: quality against each kind of stress")
         .after_help(examples(
             "segwild bench stability",
-            "segwild bench stability --photos 20 --page stability.md",
+            "segwild bench stability --photo-count 20 --page stability.md",
         ))
         .arg(
             Arg::new("only")
@@ -35,7 +35,11 @@ pub fn command() -> Command {
                 .help("Seeds of the scenes and of the trainings, with commas"),
         )
         .arg(providers())
-        .arg(number("photos", "20", "Training photos of a scene").value_parser(value_parser!(u32)))
+        .arg(
+            number("photo-count", "20", "Training photos of a scene")
+                .alias("photos")
+                .value_parser(value_parser!(u32)),
+        )
         .arg(number("pixels", "160", "Long side of the photos").value_parser(value_parser!(u32)))
         .arg(path(
             "out",
@@ -52,7 +56,7 @@ pub fn stability(matches: &ArgMatches) -> Result<(), Failure> {
     settings.extend(given(matches));
     use_threads(Settings::layered(None, &settings)?.run.threads);
     let of = |name: &str| *matches.get_one::<u32>(name).expect("it has a default");
-    let photos = of("photos") as usize;
+    let photos = of("photo-count") as usize;
     let options = StabilityOptions {
         out: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/stability")),
         command: command_line(),
