@@ -184,8 +184,8 @@ fn setting(field: &'static Field, heading: String) -> Arg {
 /// What the help calls a setting's value.
 fn value_name(field: &Field) -> &'static str {
     match field.name {
-        "images" | "ignore" | "keep_masks" | "transient_masks" | "split" | "models" | "transient_network"
-        | "onnxruntime" | "vision_token_file" => "PATH",
+        "images" | "ignore" | "keep_masks" | "transient_masks" | "split" | "imported_splats"
+        | "imported_frame" | "models" | "transient_network" | "onnxruntime" | "vision_token_file" => "PATH",
         "vision_service" => "ADDRESS",
         "object_appearance" => "PHOTO",
         _ => field.kind,

@@ -47,7 +47,7 @@
 //!     Point { position, colour: [0.5; 3], track: track.collect() }
 //! });
 //! let (points_before, frame) = (few.collect(), SceneFrame { origin: DVec3::ZERO, scale: 1.0 });
-//! let scene = Scene { views, points: points_before, skipped: vec![], notes: vec![], frame };
+//! let scene = Scene { views, points: points_before, skipped: vec![], notes: vec![], frame, imported: None };
 //!
 //! let found = points(&scene, &[0, 1, 2, 3], images, 1000, 1, &|| false).expect("nobody stops it");
 //! assert!(found.len() > 300, "{}", found.len());

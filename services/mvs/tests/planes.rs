@@ -81,7 +81,7 @@ fn world(light: impl Fn(usize) -> f32) -> (Scene, Vec<StereoImage>) {
         })
         .collect();
     let frame = SceneFrame { origin: DVec3::ZERO, scale: 1.0 };
-    (Scene { views, points: sown, skipped: vec![], notes: vec![], frame }, images)
+    (Scene { views, points: sown, skipped: vec![], notes: vec![], frame, imported: None }, images)
 }
 
 fn found(scene: &Scene, images: Vec<StereoImage>, most: usize) -> Vec<Point> {

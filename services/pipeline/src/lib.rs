@@ -12,6 +12,7 @@
 //! |---|---|---|
 //! | `run` | prepare, plan, execute, finish; the stages and their graph | `run/mod.rs`, `run/stages/` |
 //! | `artifacts` | the run folder, the cache and its keys, checkpoints | `artifacts/folder.rs`, `artifacts/keys.rs` |
+//! | `import` | views of splats that come without photos | `import/hull.rs` |
 //! | `session` | what a click holds | `session/resident.rs` |
 //! | `output` | renders, appearances, scores, objects, the report | `output/render.rs` |
 //! | `transients` | masks of transients, and who wrote them | `transients/mod.rs` |
@@ -40,6 +41,7 @@ mod artifacts;
 mod code;
 mod engine;
 mod error;
+mod import;
 mod output;
 mod run;
 mod session;
@@ -55,6 +57,7 @@ pub use code::{Code, providers_for};
 pub(crate) use engine::log_loss;
 pub use engine::{ChosenEngine, choose_engine};
 pub use error::RunError;
+pub use import::render_views;
 pub use output::evaluate::{HeldOut, HeldOutScore, Score, SelectionMaskScore, held_out_render, score};
 pub use output::light::{AppearanceRequest, BakeRequest, Baked, BlendedAppearance, OWN, ScenePart, bake};
 pub use output::objects::{

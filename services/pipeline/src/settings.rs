@@ -213,10 +213,19 @@ impl Settings {
         settings
     }
 
-    /// The settings with what depends on the scene: the number of steps for its photos.
+    /// The settings with what depends on the scene: the number of steps for its photos. Imported splats leave no budget to find.
     #[must_use]
     pub fn decided(&self, scene: &Scene) -> Settings {
-        Settings { train: self.train.decided(scene), ..self.clone() }
+        let mut settings = Settings { train: self.train.decided(scene), ..self.clone() };
+        if scene.imported.is_some() {
+            settings.run.budget = RunBudget::Fixed;
+        }
+        settings
+    }
+
+    /// Whether the number of steps is left to the scene.
+    pub(crate) fn steps_open(&self, scene: &Scene) -> bool {
+        self.train.steps == 0 && scene.imported.is_none()
     }
 
     /// The defaults of a preset.
@@ -286,13 +295,24 @@ impl Settings {
     pub fn anchored(&self) -> Settings {
         let mut settings = self.clone();
         let Settings { scene, vision, .. } = &mut settings;
-        let SceneSettings { images, ignore, keep_masks, transient_masks, split, .. } = scene;
+        let SceneSettings {
+            images,
+            ignore,
+            keep_masks,
+            transient_masks,
+            split,
+            imported_splats,
+            imported_frame,
+            ..
+        } = scene;
         for path in [
             images,
             ignore,
             keep_masks,
             split,
             transient_masks,
+            imported_splats,
+            imported_frame,
             &mut vision.models,
             &mut vision.transient_network,
             &mut vision.onnxruntime,

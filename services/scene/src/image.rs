@@ -198,6 +198,19 @@ pub(crate) fn write_png(
     Ok(segwild_files::write_atomic(path, &out)?)
 }
 
+/// Writes a render as a PNG with transparency, from its colours times their alpha, sRGB in [0, 1].
+pub fn write_rgba(path: &Path, colours: &Image, alpha: &Image) -> Result<(), SceneError> {
+    let n = colours.pixels();
+    let byte = |v: f32| (255.0 * v).round().clamp(0.0, 255.0) as u8;
+    let pixel = |i: usize| {
+        let a = alpha.data[i];
+        let colour = |c: usize| if a > 0.0 { byte(colours.data[c * n + i] / a) } else { 0 };
+        [colour(0), colour(1), colour(2), byte(a)]
+    };
+    let bytes: Vec<u8> = (0..n).flat_map(pixel).collect();
+    write_png(path, &bytes, colours.width, colours.height, image::ExtendedColorType::Rgba8)
+}
+
 /// The bytes of a PNG.
 pub(crate) fn png(
     bytes: &[u8],

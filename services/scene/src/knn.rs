@@ -35,17 +35,44 @@ struct Tree {
     depth: u32,
 }
 
+/// Points among which the nearest to any other point is found.
+pub struct NearestPoint {
+    tree: Tree,
+}
+
+impl NearestPoint {
+    /// Points that are not finite are nobody's nearest.
+    pub fn of(points: &[[f32; 3]]) -> NearestPoint {
+        NearestPoint { tree: Tree::new(entries_of(points)) }
+    }
+
+    /// Index of the point nearest to a position, and the distance; `None` where there is none.
+    ///
+    /// ```
+    /// use segwild_scene::knn::NearestPoint;
+    /// let points = NearestPoint::of(&[[0.0; 3], [1.0, 0.0, 0.0], [f32::NAN; 3]]);
+    /// assert_eq!(points.to([0.75, 0.0, 0.0]), Some((1, 0.25)));
+    /// assert_eq!(NearestPoint::of(&[]).to([0.0; 3]), None);
+    /// ```
+    pub fn to(&self, position: [f32; 3]) -> Option<(usize, f32)> {
+        let mut best = [(f32::INFINITY, NONE)];
+        let query = KnnEntry { position, id: NONE };
+        self.tree.search(0, 0, 0..self.tree.entries.len(), &query, [0.0; 3], &mut best);
+        let [(distance2, id)] = best;
+        (id != NONE).then(|| (id as usize, distance2.sqrt()))
+    }
+}
+
+fn entries_of(points: &[[f32; 3]]) -> Vec<KnnEntry> {
+    let usable = |p: &[f32; 3]| p.iter().all(|x| x.abs() < FAR);
+    let all = points.iter().enumerate().filter(|(_, p)| usable(p));
+    all.map(|(i, &position)| KnnEntry { position, id: i as u32 }).collect()
+}
+
 /// The `k` nearest other points of every point, exactly; points that are not finite have none and are nobody's
 /// neighbour. Equal distances are resolved the same way on every run.
 pub fn nearest(points: &[[f32; 3]], k: usize) -> Neighbours {
-    let usable = |p: &[f32; 3]| p.iter().all(|x| x.abs() < FAR);
-    let entries: Vec<KnnEntry> = points
-        .iter()
-        .enumerate()
-        .filter(|(_, p)| usable(p))
-        .map(|(i, &position)| KnnEntry { position, id: i as u32 })
-        .collect();
-    let tree = Tree::new(entries);
+    let tree = Tree::new(entries_of(points));
     let mut out = Neighbours {
         k,
         index: vec![NONE; points.len() * k],

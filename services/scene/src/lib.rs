@@ -38,6 +38,7 @@ mod error;
 mod export;
 mod frame;
 mod image;
+mod import;
 mod keep;
 pub mod knn;
 pub mod lens;
@@ -57,8 +58,10 @@ mod posed;
 mod prompt;
 mod random;
 mod regions;
+mod scene_frame;
 mod seal;
 pub mod settings;
+mod similarity;
 mod splats;
 mod split;
 mod taken;
@@ -75,7 +78,8 @@ pub use decode::{DecodeError, ExifCamera, limit_decoding, open_file};
 pub use embedding::Embedding;
 pub use error::{PhotoError, ReaderError, SceneError};
 pub use export::{Export, SplatFormat};
-pub use image::Image;
+pub use image::{Image, write_rgba};
+pub use import::{ImportedSplats, ReadSplats, SplatFile, SplatLayout, SplatWriter, UpAxis};
 pub use mask::{Mask, MaskSet, ScoredMask};
 pub use mask_files::{MaskFileError, MaskFiles};
 pub use photo::LoadedPhoto;
@@ -83,10 +87,12 @@ pub use photo_store::PhotoStore;
 pub use posed::PosedPhotos;
 pub use prompt::{BoxPrompt, PointPrompt, Prompts};
 pub use random::Random;
+pub use scene_frame::SceneFrame;
 pub use seal::Seal;
+pub use similarity::Similarity;
 pub use splats::Splats;
 pub use unposed::{UnposedPhoto, UnposedPhotos};
-pub use view::{Observation, Photo, Point, Reading, Scene, SceneFrame, Skipped, View};
+pub use view::{Observation, Photo, Point, Reading, Scene, Skipped, View};
 pub use window::box_mean;
 
 /// Near plane: nothing nearer to the camera is rendered. In units of the scene extent (docs/method.md, section 0).
@@ -196,6 +202,13 @@ settings! {
         /// What the transparent part of a photo says: `ignore` = nothing, `empty` = that nothing of the scene stands there, as in
         /// cut-outs of an object; `auto` = empty where most photos are cut-outs.
         alpha: Alpha = Alpha::Auto,
+        /// File of splats that another program trained from these photos. They are kept as they are, in place of a training;
+        /// `segwild import` sets it. Empty: none.
+        imported_splats: String = String::new(),
+        /// How the world of imported splats lies in that of the poses. `auto`: found by comparing them with points and photos.
+        /// `poses`: it is that of the poses, however little the splats show of the photos. Otherwise the path of nerfstudio's
+        /// dataparser_transforms.json.
+        imported_frame: String = "auto".to_owned(),
         /// Most megapixels that a photo or mask may have; a file that claims more is left out before it is decoded.
         max_megapixels: u32 = 200 => 1..=4_300,
     }

@@ -9,8 +9,8 @@ use crate::names::is_inside;
 use crate::photo_files::LocateError;
 use crate::split::{Split, SplitPart};
 use crate::{
-    DARKEST, DecodeError, HoldOut, MaskFileError, Observation, Photo, PhotoError, Point, Pose, PosedPhotos,
-    Reading, Scene, SceneError, SceneFrame, SceneSettings, Seal, Skipped, View,
+    DARKEST, DecodeError, HoldOut, ImportedSplats, MaskFileError, Observation, Photo, PhotoError, Point,
+    Pose, PosedPhotos, Reading, Scene, SceneError, SceneFrame, SceneSettings, Seal, Skipped, SplatFile, View,
 };
 use crate::{alpha, keep, orientation};
 use glam::{Mat3, Vec3};
@@ -193,7 +193,14 @@ impl Scene {
                 .into_iter()
                 .map(|words| format!("{}: {words}", draft.source.display())),
         );
-        let mut scene = Scene { views, points, skipped, notes, frame };
+        let imported = match &*settings.imported_splats {
+            "" => None,
+            file => Some(ImportedSplats {
+                file: SplatFile::open(Path::new(file))?,
+                frame: settings.imported_frame.clone(),
+            }),
+        };
+        let mut scene = Scene { views, points, skipped, notes, frame, imported };
         scene.notes.extend(scene.about_colours().map(|words| format!("{}: {words}", draft.source.display())));
         Ok(scene)
     }

@@ -4,15 +4,15 @@
 //! f_rest_0.. opacity scale_0..2 rot_0..3`, normals zero. Reading a canonical file and writing it again gives the same
 //! bytes. Values are passed through as they are, even when they are not finite: the renderer culls those.
 
-mod before;
-mod header;
+pub(crate) mod element;
+pub(crate) mod header;
 mod points;
 mod values;
 
 pub(crate) use points::{Coloured, read_points};
 
 use crate::{SceneError, Splats};
-use header::VertexTable;
+use header::ElementTable;
 use segwild_files::write_atomic;
 use std::path::Path;
 
@@ -20,7 +20,10 @@ use std::path::Path;
 const FIXED: usize = 17;
 
 /// The constant spherical harmonic, `1 / (2 sqrt(pi))`.
-const SH0: f32 = 0.282_094_79;
+pub(crate) const SH0: f32 = 0.282_094_79;
+
+/// Thickness of a two-dimensional splat, as a share of the smaller of its scales.
+const FLAT: f32 = 1e-3;
 
 /// Reads splats from a `.ply`, binary or text, its properties in any order; the SH degree follows from the number of
 /// `f_rest` properties. A file whose name ends in `.splat` is read by [`read_splat`].
@@ -28,8 +31,12 @@ pub fn read(path: &Path) -> Result<Splats, SceneError> {
     if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("splat")) {
         return read_splat(path);
     }
-    let bytes = crate::bytes::read_bytes(path).map_err(SceneError::io(path))?;
-    let table = VertexTable::parse(path, &bytes)?;
+    of_bytes(path, &crate::bytes::read_bytes(path).map_err(SceneError::io(path))?)
+}
+
+/// The splats of a `.ply`. Two-dimensional splats, which have two scales, get a third that is thin.
+pub(crate) fn of_bytes(path: &Path, bytes: &[u8]) -> Result<Splats, SceneError> {
+    let table = ElementTable::vertices(path, bytes)?;
     let column = |name: &str| {
         table.column(name).ok_or_else(|| {
             SceneError::invalid(
@@ -42,37 +49,60 @@ pub fn read(path: &Path) -> Result<Splats, SceneError> {
     let columns =
         |name: &str, n: usize| (0..n).map(|i| column(&format!("{name}{i}"))).collect::<Result<Vec<_>, _>>();
     let position = [column("x")?, column("y")?, column("z")?];
-    let (constant, opacity) = (columns("f_dc_", 3)?, column("opacity")?);
-    let (scale, rotation) = (columns("scale_", 3)?, columns("rot_", 4)?);
-    let rest_count = table.names().filter(|n| n.starts_with("f_rest_")).count();
-    let Some(sh_degree) = (0..=3u32).find(|d| 3 * ((d + 1).pow(2) - 1) as usize == rest_count) else {
-        let reason =
-            format!("{rest_count} f_rest properties are no whole SH degree up to 3 (0, 9, 24 or 45 are)");
-        return Err(SceneError::invalid(path, "header", reason));
+    // nerfstudio can write bytes of plain colours in the place of the coefficients.
+    let bytes_of_colours = table.column("f_dc_0").is_none() && table.column("red").is_some();
+    let constant = match bytes_of_colours {
+        true => vec![column("red")?, column("green")?, column("blue")?],
+        false => columns("f_dc_", 3)?,
     };
+    let opacity = column("opacity")?;
+    let scales = if table.column("scale_2").is_none() { 2 } else { 3 };
+    let (scale, rotation) = (columns("scale_", scales)?, columns("rot_", 4)?);
+    let rest_count = table.names().filter(|n| n.starts_with("f_rest_")).count();
+    let sh_degree = degree_of(path, rest_count)?;
     let rest = columns("f_rest_", rest_count)?;
 
     let n = table.len();
     let mut splats = Splats { sh_degree, ..Splats::default() };
-    let bands = rest_count / 3;
+    // A file may have coefficients of higher degrees than are rendered: each channel starts with the lower ones.
+    let (stored, bands) = (rest_count / 3, splats.sh_stride() / 3 - 1);
     for row in 0..n {
         let get = |c: usize| table.value(row, c) as f32;
         splats.means.push(position.map(get));
         splats.opacities.push(get(opacity));
-        splats.log_scales.push([0, 1, 2].map(|k| get(scale[k])));
+        splats.log_scales.push(match scale[..] {
+            [a, b, c] => [a, b, c].map(get),
+            _ => {
+                let [a, b] = [0, 1].map(|k| get(scale[k]));
+                [a, b, a.min(b) + FLAT.ln()]
+            }
+        });
         splats.rotations.push([0, 1, 2, 3].map(|k| get(rotation[k])));
-        splats.sh.extend(constant.iter().map(|&c| get(c)));
+        let coefficient = |value: f32| if bytes_of_colours { (value / 255.0 - 0.5) / SH0 } else { value };
+        splats.sh.extend(constant.iter().map(|&c| coefficient(get(c))));
         for k in 0..bands {
-            splats.sh.extend((0..3).map(|c| get(rest[c * bands + k])));
+            splats.sh.extend((0..3).map(|c| get(rest[c * stored + k])));
         }
     }
     Ok(splats)
 }
 
+/// The degree of colours with so many coefficients beyond the constant, in all channels; 3 for those of degree 4, of which the
+/// lower ones are read.
+pub(crate) fn degree_of(path: &Path, coefficients: usize) -> Result<u32, SceneError> {
+    let degree = (0..=4u32).find(|d| 3 * ((d + 1).pow(2) - 1) as usize == coefficients);
+    degree.map(|degree| degree.min(3)).ok_or_else(|| {
+        let reason = format!(
+            "{coefficients} f_rest properties are no whole SH degree up to 4 (0, 9, 24, 45 or 72 are)"
+        );
+        SceneError::invalid(path, "header", reason)
+    })
+}
+
 /// Reads one more property per splat as bytes, such as a label; `None` when the file has no such property.
 pub fn read_extra(path: &Path, name: &str) -> Result<Option<Vec<u8>>, SceneError> {
     let bytes = crate::bytes::read_bytes(path).map_err(SceneError::io(path))?;
-    let table = VertexTable::parse(path, &bytes)?;
+    let table = ElementTable::vertices(path, &bytes)?;
     Ok(table.column(name).map(|c| (0..table.len()).map(|row| table.value(row, c) as u8).collect()))
 }
 
@@ -141,8 +171,12 @@ pub(crate) fn to_bytes(splats: &Splats, extra: &[(&str, &[u8])], comments: &[Str
 /// Reads antimatter15's `.splat`: 32 bytes per splat, position and standard deviations as floats, colour with
 /// opacity and rotation (w, x, y, z) as bytes.
 pub fn read_splat(path: &Path) -> Result<Splats, SceneError> {
+    splat_of_bytes(path, &crate::bytes::read_bytes(path).map_err(SceneError::io(path))?)
+}
+
+/// The splats of a `.splat`.
+pub(crate) fn splat_of_bytes(path: &Path, bytes: &[u8]) -> Result<Splats, SceneError> {
     const RECORD: usize = 32;
-    let bytes = crate::bytes::read_bytes(path).map_err(SceneError::io(path))?;
     let (n, over) = (bytes.len() / RECORD, bytes.len() % RECORD);
     if over != 0 {
         return Err(SceneError::Truncated {

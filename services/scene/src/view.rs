@@ -2,8 +2,8 @@
 
 use crate::decode::{MEGAPIXELS, pixels_of};
 use crate::names::{key, last_part, stem};
-use crate::{Camera, NEAR, Pose};
-use glam::{DVec3, Vec2, Vec3};
+use crate::{Camera, ImportedSplats, NEAR, Pose, SceneFrame};
+use glam::{Vec2, Vec3};
 use std::collections::HashMap;
 use std::path::PathBuf;
 
@@ -119,18 +119,6 @@ impl Skipped {
     }
 }
 
-/// How the normalised frame lies in the file's: `file = normalised * scale + origin`.
-///
-/// Computed in f64, so that a scene whose units are 1000 times larger becomes the same normalised scene.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct SceneFrame {
-    /// The file's position of the normalised origin (the mean of the camera centres, without those that stand far off).
-    pub origin: DVec3,
-    /// File units per normalised unit: the scene extent, 1.1 x the largest distance of these cameras from the origin, or less
-    /// where the near plane would cut off what photos saw.
-    pub scale: f64,
-}
-
 /// A pile of posed photos and the points they share, in a normalised frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
@@ -144,6 +132,8 @@ pub struct Scene {
     pub notes: Vec<String>,
     /// Back to the file's units, for export.
     pub frame: SceneFrame,
+    /// Splats that another program trained from the photos, which take the place of a training.
+    pub imported: Option<ImportedSplats>,
 }
 
 impl Scene {
@@ -199,6 +189,7 @@ impl Scene {
 mod tests {
     use super::*;
     use crate::Seal;
+    use glam::DVec3;
 
     #[test]
     fn points_lie_in_photos_that_did_not_see_them_where_three_others_agree() {
@@ -236,7 +227,7 @@ mod tests {
             point(Vec3::new(9.0, 0.0, 0.0), 3, 0.0),
         ];
         let frame = SceneFrame { origin: DVec3::ZERO, scale: 1.0 };
-        let scene = Scene { views, points, skipped: vec![], notes: vec![], frame };
+        let scene = Scene { views, points, skipped: vec![], notes: vec![], frame, imported: None };
         let [at] = scene.points_in(3, 200, 160)[..] else { panic!("{:?}", scene.points_in(3, 200, 160)) };
         let wanted = camera.pixel(scene.views[3].pose.to_camera(scene.points[0].position)) * 2.0;
         assert!((Vec2::from(at) - wanted).length() < 1e-3);

@@ -1,9 +1,10 @@
 //! The actor of the trainer: one order trains one scene, and its outcomes are sent on as they come.
 
+use crate::imported::{self, ImportedModel};
 use crate::{Checkpoint, Model, Photos, TrainError, TrainSettings, Trainer};
 use segwild_flow::{Actor, ActorFailure, Context, Message, Quarantined, Sender, fault};
 use segwild_objective::Engine;
-use segwild_scene::{Scene, Skipped};
+use segwild_scene::{ImportedSplats, Scene, Skipped};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -91,7 +92,51 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         Ok(())
     }
 
+    /// Takes imported splats in place of a training. It is short: it is done whole, or again.
+    fn import(
+        &self,
+        order: &TrainOrder,
+        imported: &ImportedSplats,
+        context: &Context,
+    ) -> Result<(), ActorFailure> {
+        let TrainOrder { scene, photos, settings, .. } = order;
+        let file = &imported.file;
+        let what = format!("{}: {}", file.path.display(), file.in_words());
+        context.events().info(Some("geometry"), what);
+        let upcoming = (0..scene.views.len()).filter(|&view| !scene.views[view].test).collect();
+        self.send(TrainOutcome::Began { step: 0, upcoming })?;
+        let alive = || {
+            context.progress();
+            if context.stopping() { Err(TrainError::Stopped) } else { Ok(()) }
+        };
+        let mut failed = None;
+        let mut on_photo = |step: u32, psnr: f32| {
+            let (loss, left_out, splats) = (0.0, 0.0, file.splats);
+            let sent = self.send(TrainOutcome::Progress { step, loss, psnr, splats, left_out });
+            sent.map_err(|failure| {
+                failed = Some(failure);
+                TrainError::Stopped
+            })
+        };
+        let fitted =
+            imported::fit(&*self.engine, scene, imported, photos.clone(), settings, &alive, &mut on_photo);
+        let ImportedModel { model, skipped, notes } = match (fitted, failed) {
+            (_, Some(failure)) => return Err(failure),
+            (Err(TrainError::Stopped), _) => return Err(ActorFailure::stopped()),
+            (fitted, None) => fitted.map_err(ActorFailure::fatal)?,
+        };
+        for note in notes {
+            context.events().info(Some("geometry"), note);
+        }
+        let model = Arc::new(model);
+        self.send(TrainOutcome::Snapshot(model.clone()))?;
+        self.send(TrainOutcome::Done(model, skipped))
+    }
+
     fn train(&self, order: &TrainOrder, context: &Context) -> Result<(), ActorFailure> {
+        if let Some(imported) = &order.scene.imported {
+            return self.import(order, imported, context);
+        }
         let (engine, scene, photos) = (self.engine.clone(), &*order.scene, order.photos.clone());
         let started = match (order.checkpoint)()? {
             Some(checkpoint) => Trainer::resume(engine, scene, photos, checkpoint),

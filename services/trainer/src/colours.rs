@@ -177,7 +177,14 @@ mod tests {
             test: false,
         };
         let frame = SceneFrame { origin: glam::DVec3::ZERO, scale: 1.0 };
-        Scene { views: (0..views).map(view).collect(), points, skipped: vec![], notes: vec![], frame }
+        Scene {
+            views: (0..views).map(view).collect(),
+            points,
+            skipped: vec![],
+            notes: vec![],
+            frame,
+            imported: None,
+        }
     }
 
     fn point(position: Vec3, colour: [f32; 3], track: &[u32]) -> Point {

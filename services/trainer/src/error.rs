@@ -1,6 +1,7 @@
 //! Why training cannot go on.
 
 use segwild_raster::RasterError;
+use segwild_scene::SceneError;
 
 /// Why training cannot go on.
 #[derive(Debug, thiserror::Error)]
@@ -22,10 +23,22 @@ pub enum TrainError {
     /// A checkpoint does not belong to this scene or is damaged.
     #[error("checkpoint refused: {0}")]
     Checkpoint(String),
+    /// Imported splats cannot be read.
+    #[error(transparent)]
+    Splats(Box<SceneError>),
+    /// Imported splats do not lie where the poses are.
+    #[error("{0}")]
+    Frame(String),
     /// Somebody asked for a stop.
     #[error("stopped")]
     Stopped,
     /// The rasteriser refused.
     #[error(transparent)]
     Raster(#[from] RasterError),
+}
+
+impl From<SceneError> for TrainError {
+    fn from(error: SceneError) -> TrainError {
+        TrainError::Splats(Box::new(error))
+    }
 }

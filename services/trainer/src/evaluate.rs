@@ -6,12 +6,12 @@ use crate::light::directions;
 use crate::model::{Model, compose};
 use crate::photos::{PhotoLevel, Photos, Stored, TrainPhotoCache};
 use crate::posed::posed_view;
-use segwild_objective::background::{Background, PRIOR_OF_HALF, SkySums};
+use segwild_objective::background::{Background, LEAST_SEEN, PRIOR_OF_HALF, SkySums};
 use segwild_objective::compare::mean_difference;
 use segwild_objective::transients::contradicted;
 use segwild_objective::{AffineAppearance, AnyAppearance, Appearance, HIDDEN_LAYER, RANK, psnr, ssim};
 use segwild_raster::{Channels, Rasterizer};
-use segwild_scene::{Image, Scene, Splats, View};
+use segwild_scene::{Camera, Image, Pose, Scene, Splats, View};
 use std::sync::Arc;
 
 /// How a held-out photo is scored.
@@ -111,6 +111,23 @@ pub(crate) fn score(render: &Image, photo: &PhotoLevel, within: impl Fn(usize) -
     (psnr(render, &target, Some(&mask)), ssim(render, &target, Some(&mask)))
 }
 
+/// The background fitted to what a photo shows `within` its sky and between splats; `None` where that is too little.
+pub(crate) fn background_of(
+    photo: &PhotoLevel,
+    alpha: &Image,
+    camera: &Camera,
+    pose: &Pose,
+    prior: f64,
+    within: impl Fn(usize) -> bool,
+) -> Option<Background> {
+    let open = |i: usize| (1.0 - alpha.data[i]).max(0.0).powi(2);
+    let seen = |i: usize| {
+        let weight = if photo.sky(i) { 1.0 } else { open(i) };
+        (within(i) && photo.valid(i) && weight > LEAST_SEEN).then(|| (photo.colour(i), weight))
+    };
+    Background::fit(SkySums::of(camera, pose, 2, seen), prior)
+}
+
 /// The render from the camera of a photo that was not trained on.
 pub(crate) struct Unseen {
     /// sRGB in [0, 1].
@@ -143,12 +160,7 @@ pub(crate) fn render_unseen(
     let direction = directions(&model.splats, eye, projected.radii());
     if let Some(within) = fitted {
         if stored.has_sky {
-            let open = |i: usize| (1.0 - frame.alpha.data[i]).max(0.0).powi(2);
-            let seen = |i: usize| {
-                let weight = if photo.sky(i) { 1.0 } else { open(i) };
-                (within(i) && photo.valid(i) && weight > 0.01).then(|| (photo.colour(i), weight))
-            };
-            let sky = Background::fit(SkySums::of(&camera, &pose, 2, seen), PRIOR_OF_HALF);
+            let sky = background_of(photo, &frame.alpha, &camera, &pose, PRIOR_OF_HALF, within);
             background = sky.unwrap_or(background);
         }
         let background_image = background.paint(&camera, &pose);

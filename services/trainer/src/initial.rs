@@ -224,6 +224,7 @@ mod tests {
             skipped: vec![],
             notes: vec![],
             frame: SceneFrame { origin: glam::DVec3::ZERO, scale: 1.0 },
+            imported: None,
         }
     }
 

@@ -31,7 +31,7 @@
 //!     Point { position, colour: [wall(position.x); 3], track: vec![] }
 //! });
 //! let frame = SceneFrame { origin: DVec3::ZERO, scale: 1.0 };
-//! let scene = Scene { views, points: points.collect(), skipped: vec![], notes: vec![], frame };
+//! let scene = Scene { views, points: points.collect(), skipped: vec![], notes: vec![], frame, imported: None };
 //! let poses: Vec<Pose> = scene.views.iter().map(|view| view.pose).collect();
 //! let photos = Arc::new(move |view: usize| {
 //!     let x = |i: usize| poses[view].centre().x + 1.5 * camera.ray(Vec2::new((i % 48) as f32 + 0.5, 0.0)).x;
@@ -67,6 +67,7 @@ mod colours;
 mod density;
 mod error;
 mod evaluate;
+mod imported;
 mod initial;
 mod initial_transients;
 mod light;

@@ -153,6 +153,10 @@ impl TrainSettings {
     #[must_use]
     pub fn decided(&self, scene: &Scene) -> TrainSettings {
         let photos = scene.views.iter().filter(|v| !v.test).count();
+        if scene.imported.is_some() {
+            // Nothing is trained: a step is the fit of a photo's appearance.
+            return TrainSettings { steps: photos as u32, effort: 1.0, ..self.clone() };
+        }
         // The effort is part of the steps now.
         TrainSettings { steps: self.steps_for(photos), effort: 1.0, ..self.clone() }
     }

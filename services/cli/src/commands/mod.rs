@@ -8,6 +8,7 @@ mod completions;
 mod demo;
 mod doctor;
 mod eval;
+mod import;
 mod objects;
 mod reference;
 mod render;
@@ -36,6 +37,7 @@ pub fn program() -> Command {
         )
         .subcommands([
             run::command(),
+            import::command(),
             serve::command(),
             segment::command(),
             objects::command(),
@@ -77,6 +79,7 @@ fn with_help(command: Command) -> Command {
 pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
     match matches.subcommand() {
         Some(("run", m)) => run::run(m),
+        Some(("import", m)) => import::import(m),
         Some(("serve", m)) => serve::serve(m),
         Some(("segment", m)) => segment::segment(m),
         Some(("objects", m)) => objects::objects(m),

@@ -89,7 +89,7 @@ pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
 
 /// Those of the file that was named, which is the user's own, else those that the run folder remembers; flags over them.
 /// Where code is only the user says.
-fn settings(matches: &ArgMatches, folder: &RunFolder) -> Result<Settings, Failure> {
+pub fn settings(matches: &ArgMatches, folder: &RunFolder) -> Result<Settings, Failure> {
     let (own, kept, flags) =
         (path_of(matches, "config"), folder.settings_file(), crate::args::given(matches));
     let mut settings = match own {

@@ -14,6 +14,7 @@ mod disk;
 mod distorted;
 mod elsewhere;
 mod farm;
+mod import;
 mod kills;
 mod objects;
 mod operators;

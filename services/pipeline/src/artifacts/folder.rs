@@ -6,6 +6,7 @@
 //! RUN/run.sqlite        the ledger
 //! RUN/cache/            artefacts by the hash of what they were made from
 //! RUN/poses/            the poses of photos that came without, and COLMAP's database, log and models
+//! RUN/views/            the views of imported splats that came without photos
 //! RUN/checkpoints/      from which an interrupted training continues
 //! RUN/model.bin         the trained scene; RUN/scene.ply the same for other programs
 //! RUN/features.bin      the feature field
@@ -46,7 +47,7 @@ pub(crate) const EARLIER: &str = "traces";
 const LONGEST_ECHO: usize = 120;
 
 /// Folders and files that are written into, beside the ledger (`run.sqlite`, its log and its lock).
-const WRITTEN_INTO: [&str; 10] = [
+const WRITTEN_INTO: [&str; 11] = [
     "cache",
     "checkpoints",
     "history.jsonl",
@@ -56,6 +57,7 @@ const WRITTEN_INTO: [&str; 10] = [
     "selections",
     "studio",
     "transients",
+    "views",
     EARLIER,
 ];
 
@@ -80,7 +82,7 @@ pub struct RunFolder {
 /// `scene.json`: the inputs of the run.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Intake {
-    /// The scene, as an absolute path.
+    /// The scene, as an absolute path; in the file, one within the run folder is relative to it, so that both move together.
     pub scene: PathBuf,
     /// Whether the run computed the poses of its photos.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
@@ -330,7 +332,19 @@ impl RunFolder {
     }
 
     pub(crate) fn intake(&self) -> Result<Intake, RunError> {
-        self.read_json("scene.json")
+        let mut intake: Intake = self.read_json("scene.json")?;
+        if intake.scene.is_relative() {
+            let within = self.path.join(&intake.scene);
+            intake.scene = std::path::absolute(&within).unwrap_or(within);
+        }
+        Ok(intake)
+    }
+
+    /// Writes the inputs of the run.
+    pub(crate) fn write_intake(&self, intake: &Intake) -> Result<(), RunError> {
+        let whole = std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone());
+        let scene = intake.scene.strip_prefix(&whole).unwrap_or(&intake.scene).to_owned();
+        self.write_json("scene.json", &Intake { scene, ..intake.clone() })
     }
 
     /// The scene that the run is of.
@@ -421,9 +435,11 @@ impl RunFolder {
     /// The run's scene, if it is that of a model.
     fn scene_of(&self, settings: &Settings, model: &Model) -> Result<Scene, RunError> {
         let intake = self.intake()?;
+        // The model has imported splats already: their file may be gone.
+        let settings = SceneSettings { imported_splats: String::new(), ..settings.scene.clone() };
         let scene = match intake.posed {
-            true => self.open_posed(&intake.scene, &settings.scene)?,
-            false => Scene::open(&intake.scene, &settings.scene)?,
+            true => self.open_posed(&intake.scene, &settings)?,
+            false => Scene::open(&intake.scene, &settings)?,
         };
         if scene.views.iter().map(|v| &v.name).ne(&model.names) {
             let reason = format!(

@@ -13,7 +13,7 @@ use segwild_features::{Compression, FeatureSettings};
 use segwild_flow::Key;
 use segwild_masks::{MaskSettings, MaskSource};
 use segwild_scene::settings::Group;
-use segwild_scene::{Scene, SceneError, View};
+use segwild_scene::{ImportedSplats, Scene, SceneError, View};
 use segwild_trainer::{AppearanceModel, TrainSettings};
 use segwild_vision::Providers;
 use std::collections::BTreeSet;
@@ -144,6 +144,8 @@ impl End {
 #[derive(Clone, Debug)]
 pub struct Digests {
     photos: Vec<Result<String, Arc<PhotoRefusal>>>,
+    /// The hash of imported splats.
+    imported: Option<String>,
     /// Warnings about photos that can be used.
     pub odd: Vec<String>,
 }
@@ -152,7 +154,8 @@ impl Digests {
     /// Reads and decodes every photo once.
     ///
     /// # Errors
-    /// [`RunError::Interrupted`] when `stopping` returns true: many large photos take a while.
+    /// [`RunError::Interrupted`] when `stopping` returns true: many large photos take a while. When imported splats cannot be
+    /// read.
     pub fn read(
         scene: &Scene,
         settings: &Settings,
@@ -178,7 +181,8 @@ impl Digests {
                 Err(refusal) => photos.push(Err(Arc::new(refusal))),
             }
         }
-        Ok(Digests { photos, odd })
+        let imported = scene.imported.as_ref().map(ImportedSplats::digest).transpose()?;
+        Ok(Digests { photos, imported, odd })
     }
 
     /// Leaves out the photos whose corrected transient mask cannot be used.
@@ -207,7 +211,7 @@ impl Keys {
     /// The keys of everything that a run with these settings makes.
     pub fn of(
         scene: &Scene,
-        Digests { photos: digests, .. }: Digests,
+        Digests { photos: digests, imported, .. }: Digests,
         settings: &Settings,
         providers: &Providers,
         corrections: &Corrections,
@@ -247,11 +251,12 @@ impl Keys {
         let known_transients: Vec<Key> =
             views.clone().map(|i| photo("transients", i, network.as_deref().unwrap_or("none"))).collect();
 
-        let mut choice = Key::of("choice")
-            .value("format", TRAINING)
-            .part("engine", engine)
-            .part("settings", text::<TrainSettings>(settings))
-            .part("points", points_digest(scene));
+        let mut choice = Key::of("choice").value("format", TRAINING).part("engine", engine);
+        choice = match &imported {
+            None => choice.part("settings", text::<TrainSettings>(settings)),
+            Some(imported) => choice.part("imported", imported).part("settings", of_import(&settings.train)),
+        };
+        choice = choice.part("points", points_digest(scene));
         for (i, view) in scene.views.iter().enumerate() {
             choice = choice
                 .part(&format!("view {i}"), format!("{} {:?} {}", view.name, view.pose, view.test))
@@ -440,6 +445,11 @@ impl Keys {
     pub(crate) fn unreadable(&self, view: usize) -> Option<&PhotoRefusal> {
         self.digests[view].as_ref().err().map(Arc::as_ref)
     }
+}
+
+/// The settings that the fit of imported splats depends on.
+fn of_import(train: &TrainSettings) -> String {
+    format!("{} {} {}", train.appearance_model, train.robust, train.robust_share)
 }
 
 /// The key of what is made without one input of some photos.

@@ -206,6 +206,7 @@ mod tests {
             skipped: Vec::new(),
             notes: Vec::new(),
             frame: SceneFrame { origin: glam::DVec3::ZERO, scale: 1.0 },
+            imported: None,
         }
     }
 

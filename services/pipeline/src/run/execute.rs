@@ -74,7 +74,7 @@ pub fn execute<'a>(
     end_of_actors(&run, &report, outcome.map_err(stopped))?;
     let mut intake = prepared.intake.clone();
     intake.skipped.append(&mut run.tally.skipped);
-    folder.write_json("scene.json", &intake)?;
+    folder.write_intake(&intake)?;
 
     let holds_out = !intake.held_out.is_empty();
     let mut after = AfterActors { run, report, traces, holds_out, scores: None };

@@ -97,7 +97,7 @@ fn situation(
         Err(_) => folder.open_posed(path, &settings.scene)?,
     };
     let providers = Providers::from_settings(&settings.vision)?;
-    let steps_open = settings.train.steps == 0;
+    let steps_open = settings.steps_open(&scene);
     let settings = &settings.decided(&scene);
     let engine = choose_engine(&settings.run, drop)?.engine;
     let corrections = Corrections::find(&scene, folder, &settings.scene.transient_masks)?;

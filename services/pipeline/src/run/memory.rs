@@ -20,6 +20,8 @@ const PER_OBSERVATION: f64 = 60.0;
 /// Copies of a splat's parameters while a checkpoint is written: they and Adam's two moments in the trainer, in the
 /// checkpoint and in its bytes, gradients, snapshot.
 const COPIES: f64 = 12.0;
+/// The same for imported splats: the file's bytes, the splats as read and as placed, the model, its bytes in the cache.
+const IMPORT_COPIES: f64 = 5.0;
 /// Bytes per splat beside its parameters: projection, statistics.
 const PER_SPLAT: f64 = 200.0;
 /// Copies of a splat's features: values, Adam's moments, gradients.
@@ -83,7 +85,7 @@ fn need(settings: &Settings, scene: &Scene) -> MemoryNeed {
     MemoryNeed {
         least_mib,
         most_mib: with(all, caches).max(least_mib),
-        splats: splat_cap(&settings.train, scene, settings.scene.size),
+        splats: most_splats(settings, scene),
         size: settings.scene.size,
     }
 }
@@ -171,13 +173,24 @@ fn with_decoding(settings: &Settings, scene: &Scene) -> f64 {
     with_one_photo(settings, scene) + most.unwrap_or(0) as f64 / MIB
 }
 
+/// The most splats that there can be.
+fn most_splats(settings: &Settings, scene: &Scene) -> usize {
+    match &scene.imported {
+        Some(imported) => imported.file.splats,
+        None => splat_cap(&settings.train, scene, settings.scene.size),
+    }
+}
+
 fn with_one_photo(settings: &Settings, scene: &Scene) -> f64 {
-    let size = settings.scene.size;
-    let splats = splat_cap(&settings.train, scene, size) as f64;
-    let bands = f64::from((settings.train.sh_degree + 1).pow(2));
-    let training = 4.0 * (11.0 + 3.0 * bands) * COPIES + PER_SPLAT;
+    let splats = most_splats(settings, scene) as f64;
+    let (degree, copies) = match &scene.imported {
+        Some(imported) => (imported.file.sh_degree, IMPORT_COPIES),
+        None => (settings.train.sh_degree, COPIES),
+    };
+    let bands = f64::from((degree + 1).pow(2));
+    let training = 4.0 * (11.0 + 3.0 * bands) * copies + PER_SPLAT;
     let (embedding, appearance) = appearance_memory(&settings.train, scene.views.len());
-    let training = training + 4.0 * embedding * COPIES;
+    let training = training + 4.0 * embedding * copies;
     let field = 4.0 * f64::from(settings.features.channels) * FEATURE_COPIES + 4.0 * (11.0 + 3.0 * bands);
     let samples = f64::from(settings.features.pca_samples) * 4.0 * 64.0;
     let observations: usize = scene.points.iter().map(|p| p.track.len()).sum();
@@ -212,6 +225,10 @@ fn appearance_memory(train: &TrainSettings, photos: usize) -> (f64, f64) {
 /// In words, with the numbers.
 pub(crate) fn fits_accelerator(settings: &Settings, scene: &Scene) -> Result<(), RunError> {
     let budget = settings.run.memory_budget;
+    if scene.imported.is_some() {
+        // They are rendered, not trained, in buffers that the engine keeps within the budget.
+        return Ok(());
+    }
     let splats = splat_cap(&settings.train, scene, settings.scene.size);
     let (embedding_size, networks) = match settings.train.appearance_model {
         AppearanceModel::None | AppearanceModel::Affine => (0, None),
@@ -293,8 +310,14 @@ mod tests {
     #[test]
     fn a_budget_is_shared_by_every_cache_that_is_held_at_the_same_time() {
         let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
-        let scene =
-            Scene { views: Vec::new(), points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame };
+        let scene = Scene {
+            views: Vec::new(),
+            points: Vec::new(),
+            skipped: Vec::new(),
+            notes: Vec::new(),
+            frame,
+            imported: None,
+        };
         let mut settings = Settings::default();
         settings.train.splats = 1000;
         let MemoryNeed { least_mib, most_mib, .. } = need(&settings, &scene);
@@ -332,8 +355,14 @@ mod tests {
         };
         let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
         let view = View { name: "a.jpg".into(), camera, pose, photo, test: false };
-        let scene =
-            Scene { views: vec![view], points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame };
+        let scene = Scene {
+            views: vec![view],
+            points: Vec::new(),
+            skipped: Vec::new(),
+            notes: Vec::new(),
+            frame,
+            imported: None,
+        };
         let mut settings = Settings::default();
         settings.run.threads = 16;
         let MemoryNeed { least_mib, most_mib, .. } = need(&settings, &scene);
@@ -353,8 +382,14 @@ mod tests {
     #[test]
     fn a_training_larger_than_an_accelerators_memory_is_refused_with_its_size() {
         let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
-        let scene =
-            Scene { views: Vec::new(), points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame };
+        let scene = Scene {
+            views: Vec::new(),
+            points: Vec::new(),
+            skipped: Vec::new(),
+            notes: Vec::new(),
+            frame,
+            imported: None,
+        };
         let mut settings = Settings::default();
         settings.train.splats = 1_000_000;
         assert!(fits_accelerator(&settings, &scene).is_ok(), "no budget");
@@ -370,8 +405,14 @@ mod tests {
     #[test]
     fn a_budget_is_not_overrun_by_what_the_allocator_adds_to_the_caches() {
         let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
-        let scene =
-            Scene { views: Vec::new(), points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame };
+        let scene = Scene {
+            views: Vec::new(),
+            points: Vec::new(),
+            skipped: Vec::new(),
+            notes: Vec::new(),
+            frame,
+            imported: None,
+        };
         let mut settings = Settings::default();
         settings.run.memory_budget = need(&settings, &scene).least_mib + 100;
         let fitted = within_budget(&settings, &scene).expect("it fits");
@@ -401,7 +442,7 @@ mod tests {
         };
         let of = |mib: [u64; 4]| {
             let views = mib.into_iter().enumerate().map(|(i, mib)| view(i, mib)).collect();
-            Scene { views, points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame }
+            Scene { views, points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame, imported: None }
         };
         let mut settings = Settings::default();
         settings.run.threads = 2;

@@ -19,6 +19,7 @@ use segwild_flow::{Ledger, Phase, Recorder, Sink, files};
 use segwild_objective::Engine;
 use segwild_poses::PoseSpan;
 use segwild_scene::{Scene, SceneError, Skipped};
+use segwild_trainer::AppearanceModel;
 use segwild_vision::Providers;
 use std::path::Path;
 use std::sync::Arc;
@@ -83,6 +84,7 @@ pub fn prepare(
     ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()))
         .fit(&folder.path().join(authorship::FOLDER))?;
     folder.belongs_to(&path, &scene)?;
+    fits_import(&scene, settings, options.until)?;
     // Written only now: a setting that the scene refuses must not come back with the next run.
     folder.write("segwild.toml", settings.to_toml().as_bytes())?;
     record_settings(&ledger, settings, options.until)?;
@@ -90,7 +92,7 @@ pub fn prepare(
         events.warn(Some("ingest"), words);
     }
     let mut intake = Intake { posed, ..intake_of(&path, &scene) };
-    folder.write_json("scene.json", &intake)?;
+    folder.write_intake(&intake)?;
     events.info(
         Some("ingest"),
         format!(
@@ -101,7 +103,7 @@ pub fn prepare(
         ),
     );
 
-    let steps_open = settings.train.steps == 0;
+    let steps_open = settings.steps_open(&scene);
     let mut settings = memory::within_budget(&settings.decided(&scene), &scene)?;
     let providers = providers_of(folder, &settings, options)?;
     settings.allow_remote_calls(providers.remote_calls);
@@ -135,6 +137,23 @@ pub fn prepare(
         corrections,
         digests,
     })
+}
+
+/// Refuses what imported splats cannot have.
+fn fits_import(scene: &Scene, settings: &Settings, until: Option<Until>) -> Result<(), RunError> {
+    if scene.imported.is_none() {
+        return Ok(());
+    }
+    let refused = match (settings.train.appearance_model, until) {
+        (model @ (AppearanceModel::Embed | AppearanceModel::Gsw), _) => {
+            format!(
+                "--appearance-model {model} trains the splats, and imported ones stay as they are: none or affine"
+            )
+        }
+        (_, Some(Until::Step(_))) => "imported splats are not trained: --until takes a stage".to_owned(),
+        _ => return Ok(()),
+    };
+    Err(RunError::Request(refused))
 }
 
 /// Records the settings in the ledger, for `--explain`.

@@ -189,7 +189,14 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let views = ["a.jpg", "b.jpg", "c.jpg", "d.jpg"].map(|name| view(&dir.path().join(name))).to_vec();
         let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
-        let scene = Scene { views, points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame };
+        let scene = Scene {
+            views,
+            points: Vec::new(),
+            skipped: Vec::new(),
+            notes: Vec::new(),
+            frame,
+            imported: None,
+        };
         let (named, run) = (dir.path().join("named"), RunFolder::create(&dir.path().join("run")).unwrap());
         std::fs::create_dir(&named).unwrap();
         Mask::full(40, 30).write_png(&named.join("a.png")).unwrap();

@@ -1,7 +1,7 @@
 //! Point clouds: positions and colours, in whatever form programs write them.
 
 use super::SH0;
-use super::header::VertexTable;
+use super::header::ElementTable;
 use crate::SceneError;
 use std::path::Path;
 
@@ -30,7 +30,7 @@ const COLOURS: [[&str; 3]; 6] = [
 /// the constant harmonic instead.
 pub(crate) fn read_points(path: &Path) -> Result<Vec<Coloured>, SceneError> {
     let bytes = crate::bytes::read_bytes(path).map_err(SceneError::io(path))?;
-    let table = VertexTable::parse(path, &bytes)?;
+    let table = ElementTable::vertices(path, &bytes)?;
     let find = |names: [&str; 3]| match names.map(|n| table.column(n)) {
         [Some(a), Some(b), Some(c)] => Some([a, b, c]),
         _ => None,
@@ -64,7 +64,7 @@ impl ToByte {
     }
 }
 
-fn to_byte(table: &VertexTable, columns: [usize; 3], harmonic: bool) -> ToByte {
+fn to_byte(table: &ElementTable, columns: [usize; 3], harmonic: bool) -> ToByte {
     if harmonic {
         return ToByte { factor: 255.0 * f64::from(SH0), offset: 127.5 };
     }

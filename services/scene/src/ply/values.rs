@@ -2,7 +2,7 @@
 
 /// Type of a property.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Type {
+pub(crate) enum Type {
     I8,
     U8,
     I16,
@@ -73,7 +73,7 @@ impl Type {
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Format {
+pub(crate) enum Format {
     Text,
     Little,
     Big,

@@ -3,6 +3,7 @@
 mod common;
 
 mod formats;
+mod imports;
 mod open;
 mod photo_store;
 mod photos;

@@ -85,6 +85,12 @@ pub fn choose_appearance(
             t.points, t.raw, t.after_affine
         )
     });
+    if scene.imported.is_some() {
+        // A matrix for each photo is fitted to the splats as they are: no fit of them says whether it pays.
+        let appearance = if one_light { AppearanceModel::None } else { AppearanceModel::Affine };
+        let why = format!("{appearance}: {evidence}; imported splats take none or affine");
+        return Ok(AppearanceChoice { appearance, why, tracks, fits: Vec::new(), held_out: 0 });
+    }
     if trials.held_out.is_empty() {
         let appearance = APPEARANCE_MODELS[guess];
         let why =

@@ -77,7 +77,14 @@ pub fn scene(views: usize) -> Scene {
         })
         .collect();
     let frame = SceneFrame { origin: DVec3::ZERO, scale: 1.0 };
-    Scene { views: (0..views).map(view).collect(), points, skipped: vec![], notes: vec![], frame }
+    Scene {
+        views: (0..views).map(view).collect(),
+        points,
+        skipped: vec![],
+        notes: vec![],
+        frame,
+        imported: None,
+    }
 }
 
 pub const SKY: [f32; 3] = [0.5, 0.7, 0.95];

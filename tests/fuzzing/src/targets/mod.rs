@@ -23,6 +23,7 @@ pub const TARGETS: &[FuzzTarget] = &[
     scenes::SPLIT,
     scenes::PLY_SPLATS,
     scenes::PLY_POINTS,
+    scenes::IMPORTED_SPLATS,
     scenes::SPLAT,
     photos::PNG,
     photos::JPEG,

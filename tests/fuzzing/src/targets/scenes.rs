@@ -4,7 +4,7 @@ use crate::seeds::{models, photos_for, scene_for, transforms};
 use crate::yard::{folder, put, take};
 use crate::{FuzzTarget, seal};
 use segwild_scene::settings::Group;
-use segwild_scene::{Scene, SceneSettings, Splats, ply};
+use segwild_scene::{Scene, SceneSettings, SplatFile, Splats, ply};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -210,6 +210,31 @@ pub(super) const PLY_POINTS: FuzzTarget = FuzzTarget {
         });
         put(&scene.join("points.ply"), bytes);
         let _ = Scene::open(scene, &SceneSettings::default());
+    },
+};
+
+pub(super) const IMPORTED_SPLATS: FuzzTarget = FuzzTarget {
+    name: "imported_splats",
+    seeds: || {
+        vec![
+            include_bytes!("../../../../services/scene/tests/files/six.compressed.ply").to_vec(),
+            include_bytes!("../../../../services/scene/tests/files/six-v3.spz").to_vec(),
+            include_bytes!("../../../../services/scene/tests/files/six-v4.spz").to_vec(),
+        ]
+    },
+    words: PLY,
+    seal: seal::nothing,
+    read: |bytes| {
+        let path = folder("imported_splats").join("input.ply");
+        put(&path, bytes);
+        // Few splats: what a head promises is read only as far as it is there.
+        let few = |file: &SplatFile| file.splats < 100_000;
+        if let Some(read) = SplatFile::open(&path).ok().filter(few).and_then(|file| file.read().ok()) {
+            let splats = read.splats;
+            assert!(!splats.is_empty(), "a file without splats was read");
+            assert!(splats.means.iter().flatten().all(|v| v.is_finite()), "a splat lies nowhere");
+            assert_eq!(splats.sh.len(), splats.len() * splats.sh_stride(), "the arrays do not fit");
+        }
     },
 };
 

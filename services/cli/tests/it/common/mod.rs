@@ -1,9 +1,9 @@
 //! What the program's tests share: a small synthetic scene, a finished run on it, and the program itself.
 
 #[path = "../../../../../tests/support/made_once.rs"]
-mod made_once;
+pub mod made_once;
 
-use made_once::made_once;
+pub use made_once::made_once;
 use segwild_synthetic::{Click, LightVariation, Manifest, SyntheticOptions, generate};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

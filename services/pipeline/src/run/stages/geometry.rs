@@ -148,15 +148,17 @@ impl GeometryStage {
                 if again { Ok(()) } else { history::trim(run.folder, step) }
             }
             TrainOutcome::Progress { step, loss, psnr, splats, left_out } => {
-                let moment = Moment { step, loss, psnr, splats, left_out };
-                if !again {
-                    history::append(run.folder, &moment)?;
+                // Imported splats are not trained: they have no losses.
+                let trained = run.scene.imported.is_none();
+                if trained && !again {
+                    history::append(run.folder, &Moment { step, loss, psnr, splats, left_out })?;
                 }
                 if let Some(bar) = run.bars.get_mut(&Stage::Geometry) {
                     bar.advance(u64::from(step).saturating_sub(bar.done()));
                 }
                 let (events, at) = (&run.options.events, Some(u64::from(step)));
-                for (metric, value) in [("loss", loss), ("psnr_db", psnr), ("left_out", left_out)] {
+                let metrics = [("psnr_db", psnr), ("loss", loss), ("left_out", left_out)];
+                for (metric, value) in metrics.into_iter().take(if trained { 3 } else { 1 }) {
                     events.metric(name, metric, f64::from(value), at);
                 }
                 events.metric(name, "splats", splats as f64, at);

@@ -1,45 +1,58 @@
-//! Elements before the vertices of a `.ply`: skipped, whatever they hold.
+//! What the header of a `.ply` declares of an element, and how many bytes an element takes that is passed over.
 
 use super::values::{Format, Type};
 
 /// Why the property of a header line is not understood.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum PropertyError {
+pub(crate) enum PropertyError {
     #[error("`{0}` is no type of a property")]
     UnknownType(String),
     #[error("a property has a type and a name")]
     Malformed,
 }
 
-/// An element before the vertices.
-pub(super) struct Element {
+/// An element as the header declares it.
+pub(crate) struct Element {
     pub name: String,
+    /// Rows.
     pub count: u64,
-    properties: Vec<PropertyShape>,
+    /// The line of the header that declares it; a line per property follows.
+    pub(super) line: usize,
+    pub(super) properties: Vec<(String, PropertyShape)>,
 }
 
 #[derive(Clone, Copy)]
-enum PropertyShape {
+pub(super) enum PropertyShape {
     Scalar(Type),
     /// A number of values, of this type, and the values, of that one.
     List(Type, Type),
 }
 
 impl Element {
-    pub(super) fn new(name: &str, count: u64) -> Element {
-        Element { name: name.to_owned(), count, properties: Vec::new() }
+    pub(super) fn new(name: &str, count: u64, line: usize) -> Element {
+        Element { name: name.to_owned(), count, line, properties: Vec::new() }
+    }
+
+    /// Names of its properties.
+    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+        self.properties.iter().map(|(name, _)| name.as_str())
+    }
+
+    /// Whether it has a property of this name.
+    pub(crate) fn has(&self, name: &str) -> bool {
+        self.names().any(|n| n == name)
     }
 
     /// Adds the property of a header line without the word `property`; the number of properties.
     pub(super) fn add(&mut self, words: &[&str]) -> Result<usize, PropertyError> {
         let kind =
             |word: &str| Type::from_name(word).ok_or_else(|| PropertyError::UnknownType(word.to_owned()));
-        let shape = match *words {
-            ["list", count, item, _] => PropertyShape::List(kind(count)?, kind(item)?),
-            [scalar, _] => PropertyShape::Scalar(kind(scalar)?),
+        let (name, shape) = match *words {
+            ["list", count, item, name] => (name, PropertyShape::List(kind(count)?, kind(item)?)),
+            [scalar, name] => (name, PropertyShape::Scalar(kind(scalar)?)),
             _ => return Err(PropertyError::Malformed),
         };
-        self.properties.push(shape);
+        self.properties.push((name.to_owned(), shape));
         Ok(self.properties.len())
     }
 
@@ -58,7 +71,7 @@ impl Element {
         let mut at = 0;
         // Each row takes a byte at least, so that the body bounds the loop.
         for _ in 0..self.count {
-            for shape in &self.properties {
+            for (_, shape) in &self.properties {
                 at += shape.length(format, body.get(at..)?)?;
             }
         }
@@ -67,7 +80,7 @@ impl Element {
 
     /// Bytes of a row, if all rows have as many.
     fn fixed(&self) -> Option<u64> {
-        let size = |shape: &PropertyShape| match shape {
+        let size = |(_, shape): &(String, PropertyShape)| match shape {
             PropertyShape::Scalar(kind) => Some(kind.size() as u64),
             PropertyShape::List(..) => None,
         };
