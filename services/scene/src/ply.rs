@@ -20,7 +20,7 @@ use std::path::Path;
 const FIXED: usize = 17;
 
 /// The constant spherical harmonic, `1 / (2 sqrt(pi))`.
-pub(crate) const SH0: f32 = 0.282_094_79;
+pub const SH0: f32 = 0.282_094_79;
 
 /// Thickness of a two-dimensional splat, as a share of the smaller of its scales.
 const FLAT: f32 = 1e-3;

@@ -3,10 +3,8 @@
 use glam::{Mat3, Vec3};
 use segwild_scene::Random;
 use segwild_scene::knn;
+use segwild_scene::ply::SH0;
 use segwild_scene::{Camera, DARKEST, NEAR, Point, Pose, Scene, Splats};
-
-/// First basis function of real spherical harmonics: a constant.
-pub(crate) const SH0: f32 = 0.282_094_79;
 
 /// What training starts from.
 pub(crate) struct Initial {

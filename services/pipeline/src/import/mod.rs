@@ -8,6 +8,7 @@ use glam::{DMat4, DVec3, Mat3, Vec3};
 use hull::SplatExtent;
 use segwild_flow::files::{self, FileError};
 use segwild_raster::{Channels, ProjectOptions, Rasterizer};
+use segwild_scene::ply::SH0;
 use segwild_scene::{
     Alpha, HoldOut, Pose, ReadSplats, SceneError, SceneFrame, SplatFile, Splats, UpAxis, write_rgba,
 };
@@ -18,7 +19,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 /// The folder of the views in the run folder.
-pub(crate) const VIEWS: &str = "views";
+const VIEWS: &str = "views";
 /// What they were rendered from.
 const RECORD: &str = "views/views.json";
 /// Raised when the same splats are rendered in another way.
@@ -29,8 +30,6 @@ const ASPECT: f32 = 0.75;
 const POINTS: usize = 20_000;
 /// Opacity from which a splat is written as a point.
 const OPAQUE: f32 = 0.5;
-/// The constant basis function of colours.
-const SH0: f32 = 0.282_094_79;
 
 /// `views.json`: what the views show.
 #[derive(PartialEq, Serialize, Deserialize)]
@@ -76,10 +75,7 @@ pub fn render_views(
     let options =
         ProjectOptions { antialias: file.writer.antialias.unwrap_or(false), ..ProjectOptions::default() };
     let held = engine.hold(&placed).map_err(hull::raster)?;
-    let renderer: &dyn Rasterizer = match &held {
-        Some(held) => &**held,
-        None => &*engine,
-    };
+    let renderer: &dyn Rasterizer = held.as_deref().unwrap_or(&*engine);
     let mut frames = Vec::new();
     for (i, pose) in poses.iter().enumerate() {
         let projected = renderer.project(&placed, &camera, pose, &options).map_err(hull::raster)?;

@@ -307,17 +307,14 @@ mod tests {
     use glam::Vec3;
     use segwild_scene::{Camera, Photo, Pose, Reading, SceneFrame, Seal, View};
 
+    fn scene(views: Vec<View>) -> Scene {
+        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
+        Scene { views, points: vec![], skipped: vec![], notes: vec![], frame, imported: None }
+    }
+
     #[test]
     fn a_budget_is_shared_by_every_cache_that_is_held_at_the_same_time() {
-        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
-        let scene = Scene {
-            views: Vec::new(),
-            points: Vec::new(),
-            skipped: Vec::new(),
-            notes: Vec::new(),
-            frame,
-            imported: None,
-        };
+        let scene = scene(Vec::new());
         let mut settings = Settings::default();
         settings.train.splats = 1000;
         let MemoryNeed { least_mib, most_mib, .. } = need(&settings, &scene);
@@ -343,7 +340,6 @@ mod tests {
 
     #[test]
     fn a_budget_holds_fewer_photos_at_once() {
-        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
         let camera = Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0 };
         let photo = Photo {
             path: "a.jpg".into(),
@@ -355,14 +351,7 @@ mod tests {
         };
         let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
         let view = View { name: "a.jpg".into(), camera, pose, photo, test: false };
-        let scene = Scene {
-            views: vec![view],
-            points: Vec::new(),
-            skipped: Vec::new(),
-            notes: Vec::new(),
-            frame,
-            imported: None,
-        };
+        let scene = scene(vec![view]);
         let mut settings = Settings::default();
         settings.run.threads = 16;
         let MemoryNeed { least_mib, most_mib, .. } = need(&settings, &scene);
@@ -381,15 +370,7 @@ mod tests {
 
     #[test]
     fn a_training_larger_than_an_accelerators_memory_is_refused_with_its_size() {
-        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
-        let scene = Scene {
-            views: Vec::new(),
-            points: Vec::new(),
-            skipped: Vec::new(),
-            notes: Vec::new(),
-            frame,
-            imported: None,
-        };
+        let scene = scene(Vec::new());
         let mut settings = Settings::default();
         settings.train.splats = 1_000_000;
         assert!(fits_accelerator(&settings, &scene).is_ok(), "no budget");
@@ -404,15 +385,7 @@ mod tests {
 
     #[test]
     fn a_budget_is_not_overrun_by_what_the_allocator_adds_to_the_caches() {
-        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
-        let scene = Scene {
-            views: Vec::new(),
-            points: Vec::new(),
-            skipped: Vec::new(),
-            notes: Vec::new(),
-            frame,
-            imported: None,
-        };
+        let scene = scene(Vec::new());
         let mut settings = Settings::default();
         settings.run.memory_budget = need(&settings, &scene).least_mib + 100;
         let fitted = within_budget(&settings, &scene).expect("it fits");
@@ -424,7 +397,6 @@ mod tests {
 
     #[test]
     fn a_photo_whose_decoding_breaks_the_budget_is_left_out_and_many_are_refused_with_the_number() {
-        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
         let camera = Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0 };
         let view = |i: usize, mib: u64| {
             let reading = Reading { bytes: mib << 20, ..Default::default() };
@@ -442,7 +414,7 @@ mod tests {
         };
         let of = |mib: [u64; 4]| {
             let views = mib.into_iter().enumerate().map(|(i, mib)| view(i, mib)).collect();
-            Scene { views, points: Vec::new(), skipped: Vec::new(), notes: Vec::new(), frame, imported: None }
+            scene(views)
         };
         let mut settings = Settings::default();
         settings.run.threads = 2;

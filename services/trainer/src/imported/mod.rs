@@ -132,10 +132,7 @@ impl<'a> Fitter<'a> {
         side: usize,
     ) -> Result<f64, TrainError> {
         let held = self.engine.hold(splats)?;
-        let engine: &dyn Rasterizer = match &held {
-            Some(held) => &**held,
-            None => self.engine,
-        };
+        let engine: &dyn Rasterizer = held.as_deref().unwrap_or(self.engine);
         let mut sum = 0.0;
         for (view, stored) in sample {
             let smaller = stored.levels.iter().filter(|level| level.width.max(level.height) >= side);
@@ -176,10 +173,7 @@ impl<'a> Fitter<'a> {
         let mut backgrounds: Vec<Option<Background>> = vec![None; count];
         let (mut trained_on, mut quality) = (Vec::new(), Vec::new());
         let held = self.engine.hold(&splats)?;
-        let engine: &dyn Rasterizer = match &held {
-            Some(held) => &**held,
-            None => self.engine,
-        };
+        let engine: &dyn Rasterizer = held.as_deref().unwrap_or(self.engine);
         for (done, view) in self.views.clone().into_iter().enumerate() {
             let stored = match self.cache.get(view) {
                 Ok(stored) => stored,
