@@ -119,10 +119,9 @@ fn poses_code(error: &PosesError) -> u8 {
         | PosesError::Video { .. }
         | PosesError::Scene(_) => exit::INPUT,
         // Another machine may have the program.
-        PosesError::NoColmap { .. }
-        | PosesError::NoFfmpeg { .. }
-        | PosesError::Program { .. }
-        | PosesError::Start { .. } => exit::INCOMPLETE,
+        PosesError::NoColmap { .. } | PosesError::NoFfmpeg { .. } | PosesError::Program(_) => {
+            exit::INCOMPLETE
+        }
         PosesError::Stopped => exit::INTERRUPTED,
     }
 }

@@ -9,6 +9,7 @@
 //! - [`Cache`]: artefacts by the hash of what they were made from ([`Key`]); verified on every read.
 //! - [`Ledger`]: what a run has done, in SQLite, readable by others while it is written.
 //! - [`Recorder`]: what actors and mailboxes are doing, written into the ledger about once a second.
+//! - [`ProgramRunner`]: other programs as children, with a log, ended with this process.
 //! - [`shortage`]: what the system says when it has no file descriptors or processes left.
 //! - [`codec`]: binary records with a header.
 //! - [`files`] and [`fault`]: the one writer of files, and faults on purpose, from the floor below.
@@ -48,6 +49,7 @@ mod meter;
 mod mutex;
 mod park;
 pub mod process;
+mod program;
 pub mod progress;
 pub mod recorder;
 pub mod report;
@@ -69,6 +71,7 @@ pub use ledger::{Ledger, LedgerError};
 pub use mailbox::{Closed, Limits, MailboxStats, Receiver, RecvError, Sender, TrySendError, mailbox};
 pub use message::Message;
 pub use meter::{WaitingFor, WorkerState, waiting_for};
+pub use program::{ProgramError, ProgramRunner, find_program, program_output};
 pub use progress::StageProgress;
 pub use recorder::Recorder;
 pub use report::{ActorReport, Exit, Report, WorkerStatus};

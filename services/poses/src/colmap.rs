@@ -1,7 +1,7 @@
 //! COLMAP as it stands on this machine: its version, and the options that it knows.
 
 use crate::PosesError;
-use crate::child::{ending_with_parent, on_path};
+use segwild_flow::{ProgramError, find_program, program_output};
 use std::path::{Path, PathBuf};
 
 /// A COLMAP that was found.
@@ -17,8 +17,8 @@ pub struct Colmap {
 impl Colmap {
     /// The COLMAP on the `PATH`; `None` where there is none that answers.
     pub fn find() -> Option<Colmap> {
-        let program = on_path("colmap")?;
-        let text = output(&program, &["help"]).ok()?;
+        let program = find_program("colmap")?;
+        let text = program_output(&program, &["help"]).ok()?;
         let version = text.lines().next()?.split(" -- ").next()?.trim().to_owned();
         let has_cuda = text.lines().take(3).any(|line| line.contains("with CUDA"));
         version.starts_with("COLMAP").then_some(Colmap { program, version, has_cuda })
@@ -34,8 +34,8 @@ impl Colmap {
     /// # Errors
     /// It cannot be started.
     pub(crate) fn command(&self, name: &str) -> Result<ColmapCommand, PosesError> {
-        let started = |source| PosesError::Start { program: format!("colmap {name}"), source };
-        let help = output(&self.program, &[name, "-h"]).map_err(started)?;
+        let started = |source| ProgramError::Start { program: format!("colmap {name}"), source };
+        let help = program_output(&self.program, &[name, "-h"]).map_err(started)?;
         Ok(ColmapCommand { help, arguments: vec![name.to_owned()] })
     }
 }
@@ -70,13 +70,6 @@ impl ColmapCommand {
     pub fn arguments(self) -> Vec<String> {
         self.arguments
     }
-}
-
-/// What a program writes.
-pub(crate) fn output(program: &Path, arguments: &[&str]) -> std::io::Result<String> {
-    let output = ending_with_parent(program).args(arguments).stdin(std::process::Stdio::null()).output()?;
-    let text = [output.stdout, output.stderr].concat();
-    Ok(String::from_utf8_lossy(&text).into_owned())
 }
 
 /// The numbers in the last brackets of a line: `[3, 4]` of `Matching block [3/7, 4/7]`, with those after the slashes.

@@ -1,6 +1,6 @@
 //! Why poses cannot be computed, with messages for a person.
 
-use segwild_flow::FileError;
+use segwild_flow::{FileError, ProgramError};
 use segwild_scene::SceneError;
 use std::path::PathBuf;
 
@@ -55,24 +55,9 @@ pub enum PosesError {
         /// Why.
         reason: String,
     },
-    /// A program failed.
-    #[error("{program} failed: {last}; all that it wrote is in {log}", log = log.display())]
-    Program {
-        /// The program and its command.
-        program: String,
-        /// Its last line, and its exit code.
-        last: String,
-        /// The log.
-        log: PathBuf,
-    },
-    /// A program cannot be started.
-    #[error("{program} cannot be started: {source}")]
-    Start {
-        /// The program.
-        program: String,
-        /// What the system says.
-        source: std::io::Error,
-    },
+    /// A program failed, or cannot be started.
+    #[error(transparent)]
+    Program(ProgramError),
     /// COLMAP's database cannot be read.
     #[error("{path}: {source}; remove the folder and run again", path = path.display())]
     Database {
@@ -98,4 +83,14 @@ pub enum PosesError {
     /// Stopped by the user.
     #[error("stopped; the same command goes on from here")]
     Stopped,
+}
+
+impl From<ProgramError> for PosesError {
+    fn from(error: ProgramError) -> PosesError {
+        match error {
+            ProgramError::Stopped => PosesError::Stopped,
+            ProgramError::Log(error) => PosesError::File(error),
+            error => PosesError::Program(error),
+        }
+    }
 }

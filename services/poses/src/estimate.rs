@@ -1,6 +1,5 @@
 //! Computing poses, step by step. Each step goes on from what the folder holds.
 
-use crate::child::ProgramRunner;
 use crate::colmap::{ColmapCommand, numbers_in};
 use crate::features::{lens_groups, within_memory};
 use crate::folder::{PoseInputs, stamps};
@@ -10,7 +9,7 @@ use crate::{
     Colmap, Ffmpeg, PairChoice, PoseLimits, PosePlan, PoseSettings, PoseSource, PoseSpan, PoseStep,
     PosesError, PosesFolder, pairs,
 };
-use segwild_flow::{Events, FileError, StageProgress, Stopper, files};
+use segwild_flow::{Events, FileError, ProgramError, ProgramRunner, StageProgress, Stopper, files};
 use segwild_scene::{SceneSettings, UnposedPhotos};
 use std::io::ErrorKind;
 use std::path::Path;
@@ -29,7 +28,7 @@ struct Estimation<'a> {
     settings: &'a PoseSettings,
     limits: &'a PoseLimits,
     events: &'a Events,
-    children: ProgramRunner<'a>,
+    programs: ProgramRunner<'a>,
     colmap: Colmap,
     progress: StageProgress,
     spans: Vec<PoseSpan>,
@@ -59,7 +58,7 @@ impl PosesFolder {
             settings,
             limits,
             events,
-            children: ProgramRunner { log: self.path().join("colmap.log"), stopper },
+            programs: ProgramRunner { log: Some(self.path().join("colmap.log")), stopper },
             colmap,
             progress: events.stage(STAGE, None),
             spans: Vec::new(),
@@ -165,7 +164,7 @@ impl Estimation<'_> {
             std::fs::create_dir_all(&folder).map_err(|e| FileError::new("create the folder", &folder, e))?;
             let most = self.settings.video_frames as usize;
             self.step(PoseStep::Frames, |this| {
-                ffmpeg.take_frames(video, &folder, most, &this.children, &mut this.progress)
+                ffmpeg.take_frames(video, &folder, most, &this.programs, &mut this.progress)
             })?;
             record.frames = inputs.features.to_string();
             record.write(self.folder.path())?;
@@ -184,7 +183,7 @@ impl Estimation<'_> {
     ) -> Result<(), PosesError> {
         let (events, progress) = (self.events, &mut self.progress);
         let (mut lines, mut shown) = (0_u32, Instant::now());
-        self.children.run(self.colmap.program(), &command.arguments(), |text| {
+        self.programs.run(self.colmap.program(), &command.arguments(), |text| {
             lines += 1;
             // A bundle adjustment of many photos takes minutes in which no unit is done.
             if shown.elapsed() > SIGN_OF_LIFE {
@@ -192,7 +191,8 @@ impl Estimation<'_> {
                 events.metric(STAGE, "lines of COLMAP", f64::from(lines), Some(u64::from(lines)));
             }
             line(text, progress);
-        })
+        })?;
+        Ok(())
     }
 
     /// The features of the photos that have none yet.
@@ -345,11 +345,13 @@ impl Estimation<'_> {
         let facts = PhotoFacts::of(self.folder.open_database()?)?;
         match mapped {
             // COLMAP reports a failure where it made no model.
-            Err(PosesError::Program { .. }) | Ok(()) if models.is_empty() => Err(PosesError::NoModel {
-                path: photos.folder.clone(),
-                photos: count,
-                reason: facts.nothing(count),
-            }),
+            Err(PosesError::Program(ProgramError::Failed { .. })) | Ok(()) if models.is_empty() => {
+                Err(PosesError::NoModel {
+                    path: photos.folder.clone(),
+                    photos: count,
+                    reason: facts.nothing(count),
+                })
+            }
             Err(error) => Err(error),
             Ok(()) => {
                 let unposed = facts.unposed(names.into_iter(), &models);

@@ -13,7 +13,6 @@
 //!
 //! COLMAP is searched on the `PATH` and nowhere else. Start reading at `estimate.rs`.
 
-mod child;
 mod colmap;
 mod database;
 mod error;

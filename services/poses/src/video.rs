@@ -1,9 +1,7 @@
 //! The step `frames`: photos out of a video, by ffmpeg. The sharpest frames, spread evenly over the motion.
 
 use crate::PosesError;
-use crate::child::{ProgramRunner, on_path};
-use crate::colmap::output;
-use segwild_flow::StageProgress;
+use segwild_flow::{ProgramError, ProgramRunner, StageProgress, find_program, program_output};
 use std::path::{Path, PathBuf};
 
 /// Width in pixels at which frames are compared.
@@ -37,11 +35,16 @@ struct FrameMeasure {
 impl Ffmpeg {
     /// The ffmpeg on the `PATH`; `None` where there is none that answers.
     pub fn find() -> Option<Ffmpeg> {
-        let program = on_path("ffmpeg")?;
-        let text = output(&program, &["-version"]).ok()?;
+        let program = find_program("ffmpeg")?;
+        let text = program_output(&program, &["-version"]).ok()?;
         let version: Vec<&str> = text.lines().next()?.split_whitespace().take(3).collect();
         let version = version.join(" ");
         version.starts_with("ffmpeg").then_some(Ffmpeg { program, version })
+    }
+
+    /// Its file.
+    pub fn program(&self) -> &Path {
+        &self.program
     }
 
     /// Takes at most `most` photos out of a video into an empty folder.
@@ -50,14 +53,14 @@ impl Ffmpeg {
         video: &Path,
         folder: &Path,
         most: usize,
-        children: &ProgramRunner<'_>,
+        programs: &ProgramRunner<'_>,
         progress: &mut StageProgress,
     ) -> Result<(), PosesError> {
         let refused = |reason: String| PosesError::Video { path: video.to_owned(), reason };
         let mut frames: Vec<FrameMeasure> = Vec::new();
         let filters = format!("scale={COMPARED}:-2,signalstats,blurdetect,metadata=mode=print:file=-");
         let measured =
-            children.run(&self.program, &arguments(video, &filters, &["-f", "null", "-"]), |line| {
+            programs.run(&self.program, &arguments(video, &filters, &["-f", "null", "-"]), |line| {
                 if line.starts_with("frame:") {
                     frames.push(FrameMeasure { motion: 0.0, blur: f64::INFINITY });
                     progress.advance(1);
@@ -69,7 +72,7 @@ impl Ffmpeg {
                 }
             });
         match measured {
-            Err(PosesError::Program { last, .. }) if frames.is_empty() => return Err(refused(last)),
+            Err(ProgramError::Failed { last, .. }) if frames.is_empty() => return Err(refused(last)),
             other => other?,
         }
         let chosen = choose(&frames, most);
@@ -79,7 +82,8 @@ impl Ffmpeg {
         progress.next_part(None);
         let select = format!("select='{}'", numbers(&chosen));
         let pattern = folder.join("frame-%05d.jpg").display().to_string();
-        children.run(&self.program, &arguments(video, &select, &["-q:v", "2", &pattern]), |_| {})
+        programs.run(&self.program, &arguments(video, &select, &["-q:v", "2", &pattern]), |_| {})?;
+        Ok(())
     }
 }
 

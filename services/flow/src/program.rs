@@ -1,7 +1,7 @@
-//! Child processes: their output goes line by line to a log and to a reader, and they end with this process.
+//! Other programs as child processes: their output goes line by line to a log and to a reader, and they end with this process.
 
-use crate::PosesError;
-use segwild_flow::{Phase, Stopper, files};
+use crate::{FileError, Phase, Stopper, files};
+use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -15,10 +15,39 @@ const LINES: usize = 256;
 /// Time between two checks of whether the run is to stop.
 const EVERY: Duration = Duration::from_millis(200);
 
-/// Where children write to, and what stops them.
-pub(crate) struct ProgramRunner<'a> {
-    /// The log, to whose end they write.
-    pub log: PathBuf,
+/// Why a program did not do its work.
+#[derive(Debug, thiserror::Error)]
+pub enum ProgramError {
+    /// It failed.
+    #[error("{program} failed: {last}{}", log.as_ref().map_or_else(String::new, |log| format!("; all that it wrote is in {}", log.display())))]
+    Failed {
+        /// The program and its command.
+        program: String,
+        /// Its last line, and its exit code.
+        last: String,
+        /// The log, if there is one.
+        log: Option<PathBuf>,
+    },
+    /// It cannot be started.
+    #[error("{program} cannot be started: {source}")]
+    Start {
+        /// The program and its command.
+        program: String,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The log cannot be written.
+    #[error(transparent)]
+    Log(#[from] FileError),
+    /// Stopped by the user.
+    #[error("stopped")]
+    Stopped,
+}
+
+/// Runs programs: where they write to, and what stops them.
+pub struct ProgramRunner<'a> {
+    /// The log, to whose end they write; `None`: what they write is not kept.
+    pub log: Option<PathBuf>,
     /// Stops them.
     pub stopper: &'a Stopper,
 }
@@ -33,14 +62,14 @@ impl ProgramRunner<'_> {
         program: &Path,
         arguments: &[String],
         line: impl FnMut(&str),
-    ) -> Result<(), PosesError> {
+    ) -> Result<(), ProgramError> {
         let name = named(program, arguments);
         let (status, last) = self.status(program, arguments, line)?;
         if status.success() {
             return Ok(());
         }
         let how = status.code().map_or_else(|| "killed".to_owned(), |code| format!("exit code {code}"));
-        Err(PosesError::Program { program: name, last: format!("{last} ({how})"), log: self.log.clone() })
+        Err(ProgramError::Failed { program: name, last: format!("{last} ({how})"), log: self.log.clone() })
     }
 
     /// As [`ProgramRunner::run`]; returns how it ended, and its last line that says something.
@@ -49,13 +78,12 @@ impl ProgramRunner<'_> {
         program: &Path,
         arguments: &[String],
         mut line: impl FnMut(&str),
-    ) -> Result<(ExitStatus, String), PosesError> {
+    ) -> Result<(ExitStatus, String), ProgramError> {
         let name = named(program, arguments);
-        let mut log = files::open_to_append(&self.log)?;
-        let unwritten = |source| files::FileError::new("write", &self.log, source);
-        writeln!(log, "== {} {}", program.display(), arguments.join(" ")).map_err(unwritten)?;
+        let mut log = self.open_log()?;
+        log.line(&format!("== {} {}", program.display(), arguments.join(" ")))?;
         let (mut child, output) = start(program, arguments)
-            .map_err(|source| PosesError::Start { program: name.clone(), source })?;
+            .map_err(|source| ProgramError::Start { program: name.clone(), source })?;
         let (sender, receiver) = sync_channel::<String>(LINES);
         let reader = std::thread::Builder::new().name("child output".into()).spawn(move || {
             let mut output = BufReader::new(output);
@@ -67,17 +95,17 @@ impl ProgramRunner<'_> {
         });
         let reader = reader.map_err(|source| {
             end(&mut child);
-            PosesError::Start { program: name.clone(), source }
+            ProgramError::Start { program: name.clone(), source }
         })?;
         let mut last = String::new();
         let outcome = loop {
             if self.stopper.phase() != Phase::Running {
-                break Err(PosesError::Stopped);
+                break Err(ProgramError::Stopped);
             }
             match receiver.recv_timeout(EVERY) {
                 Ok(text) => {
-                    if let Err(error) = writeln!(log, "{text}") {
-                        break Err(unwritten(error).into());
+                    if let Err(error) = log.line(&text) {
+                        break Err(error.into());
                     }
                     line(&text);
                     if !text.trim().is_empty() {
@@ -93,10 +121,29 @@ impl ProgramRunner<'_> {
         }
         // The reader must not wait for a full channel.
         drop(receiver);
-        let status = child.wait().map_err(|source| PosesError::Start { program: name, source })?;
+        let status = child.wait().map_err(|source| ProgramError::Start { program: name, source })?;
         // A reader that panicked has written that to stderr already.
         let _ = reader.join();
         outcome.map(|()| (status, last))
+    }
+
+    fn open_log(&self) -> Result<ProgramLog<'_>, FileError> {
+        Ok(ProgramLog(match &self.log {
+            Some(path) => Some((path, files::open_to_append(path)?)),
+            None => None,
+        }))
+    }
+}
+
+/// What a program's output is added to, if it is kept.
+struct ProgramLog<'a>(Option<(&'a Path, File)>);
+
+impl ProgramLog<'_> {
+    fn line(&mut self, text: &str) -> Result<(), FileError> {
+        match &mut self.0 {
+            Some((path, file)) => writeln!(file, "{text}").map_err(|e| FileError::new("write", path, e)),
+            None => Ok(()),
+        }
     }
 }
 
@@ -128,8 +175,8 @@ fn start(program: &Path, arguments: &[String]) -> std::io::Result<(Child, std::i
 
 /// The command of a program that the system kills when the thread that started it ends. Where there is no `setpriv`, the child of
 /// a killed process ends at its next line of output.
-pub(crate) fn ending_with_parent(program: &Path) -> Command {
-    match on_path("setpriv").filter(|_| cfg!(target_os = "linux")) {
+fn ending_with_parent(program: &Path) -> Command {
+    match find_program("setpriv").filter(|_| cfg!(target_os = "linux")) {
         Some(setpriv) => {
             let mut command = Command::new(setpriv);
             command.args(["--pdeathsig", "KILL", "--"]).arg(program);
@@ -139,8 +186,18 @@ pub(crate) fn ending_with_parent(program: &Path) -> Command {
     }
 }
 
-/// The file of a program on the `PATH`.
-pub(crate) fn on_path(name: &str) -> Option<PathBuf> {
+/// What a program writes, output and errors.
+///
+/// # Errors
+/// It cannot be started.
+pub fn program_output(program: &Path, arguments: &[&str]) -> std::io::Result<String> {
+    let output = ending_with_parent(program).args(arguments).stdin(Stdio::null()).output()?;
+    let text = [output.stdout, output.stderr].concat();
+    Ok(String::from_utf8_lossy(&text).into_owned())
+}
+
+/// The file of a program on the `PATH`; folders that are relative there are left out, since they may be anybody's.
+pub fn find_program(name: &str) -> Option<PathBuf> {
     let path = std::env::var_os("PATH")?;
     let absolute = std::env::split_paths(&path).filter(|folder| folder.is_absolute());
     absolute
@@ -165,13 +222,13 @@ mod tests {
     use super::*;
     use std::time::Instant;
 
-    fn shell(script: &str, stopper: &Stopper) -> (Result<(), PosesError>, Vec<String>, String) {
+    fn shell(script: &str, stopper: &Stopper) -> (Result<(), ProgramError>, Vec<String>, String) {
         let dir = tempfile::tempdir().unwrap();
-        let children = ProgramRunner { log: dir.path().join("log"), stopper };
+        let programs = ProgramRunner { log: Some(dir.path().join("log")), stopper };
         let mut lines = Vec::new();
-        let done = children
+        let done = programs
             .run(Path::new("/bin/sh"), &["-c".into(), script.into()], |line| lines.push(line.to_owned()));
-        (done, lines, std::fs::read_to_string(&children.log).unwrap())
+        (done, lines, std::fs::read_to_string(dir.path().join("log")).unwrap())
     }
 
     #[test]
@@ -203,7 +260,7 @@ mod tests {
         });
         let (done, _, _) = shell("exec sleep 600", &stopper);
         stops.join().unwrap();
-        assert!(matches!(done, Err(PosesError::Stopped)), "{done:?}");
+        assert!(matches!(done, Err(ProgramError::Stopped)), "{done:?}");
         assert!(began.elapsed() < Duration::from_secs(60));
     }
 
