@@ -90,7 +90,8 @@ impl From<RunError> for Failure {
             | RunError::Record { .. }
             | RunError::Storage { .. }
             | RunError::Ledger(_) => exit::FOLDER,
-            RunError::Stage { .. } => exit::INCOMPLETE,
+            // Another machine may have the program.
+            RunError::Stage { .. } | RunError::NoProgram { .. } | RunError::Program(_) => exit::INCOMPLETE,
             RunError::Segment(error) => segment_code(error),
             RunError::Interrupted => exit::INTERRUPTED,
             RunError::Train(_) => exit::INPUT,

@@ -135,6 +135,45 @@ fn fill_aside<E: From<FileError>>(
     Ok(sync_folder(folder)?)
 }
 
+/// As [`write_atomic`], for a file that another program writes: `fill` is given an empty folder aside, and writes the file there
+/// under the name that it has in the end. What else it leaves there is removed.
+///
+/// ```
+/// use segwild_files::{FileError, write_by_folder};
+/// let folder = tempfile::tempdir().unwrap();
+/// let video = folder.path().join("statue.mp4");
+/// let written: Result<(), FileError> = write_by_folder(&video, |aside| {
+///     std::fs::write(aside.join("frame.png"), b"a part").unwrap();
+///     std::fs::write(aside.join("statue.mp4"), b"whole").unwrap();
+///     Ok(())
+/// });
+/// assert!(written.is_ok() && std::fs::read(&video).unwrap() == b"whole");
+/// assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+/// ```
+///
+/// # Errors
+/// Those of `fill`, and as [`write_atomic`]; also when `fill` wrote no such file.
+pub fn write_by_folder<E: From<FileError>>(
+    path: &Path,
+    fill: impl FnOnce(&Path) -> Result<(), E>,
+) -> Result<(), E> {
+    let folder = folder_of(path);
+    let name = path.file_name().unwrap_or_default();
+    let aside = folder.join(unique_name(&format!(".{}", name.to_string_lossy())));
+    fs::create_dir_all(&aside).map_err(|e| FileError::new("create the folder", &aside, e))?;
+    let failed = |e| FileError::new("write", path, e);
+    let done = fill(&aside).and_then(|()| {
+        let written = aside.join(name);
+        File::open(&written).and_then(|file| file.sync_all()).map_err(failed)?;
+        fault::point("file.rename").map_err(failed)?;
+        fs::rename(&written, path).map_err(failed)?;
+        Ok(sync_folder(folder)?)
+    });
+    // What is left aside is only litter.
+    let _ = fs::remove_dir_all(&aside);
+    done
+}
+
 /// Opens a file to add to its end; it is made, with its folder, if it is not there.
 ///
 /// # Errors

@@ -2,7 +2,7 @@
 
 use crate::SettingsError;
 use segwild_features::FeatureError;
-use segwild_flow::{ActorFailure, CacheError, CodecError, FileError, LedgerError, SpawnError};
+use segwild_flow::{ActorFailure, CacheError, CodecError, FileError, LedgerError, ProgramError, SpawnError};
 use segwild_gpu::GpuError;
 use segwild_poses::PosesError;
 use segwild_raster::RasterError;
@@ -77,6 +77,19 @@ pub enum RunError {
     /// An input beside the scene cannot be used.
     #[error("{0}")]
     Input(String),
+    /// A program that a request needs is not on this machine.
+    #[error("{purpose}, and {program} is not found on the PATH: install it (`{install}`)")]
+    NoProgram {
+        /// What needs it.
+        purpose: String,
+        /// Its name.
+        program: &'static str,
+        /// A command that installs it.
+        install: &'static str,
+    },
+    /// A program that a request needs failed.
+    #[error(transparent)]
+    Program(ProgramError),
     /// Stopped by the user.
     #[error("stopped; the same command goes on from here")]
     Interrupted,
@@ -95,6 +108,16 @@ pub enum RunError {
     /// Features could not be rendered.
     #[error(transparent)]
     Features(#[from] FeatureError),
+}
+
+impl From<ProgramError> for RunError {
+    fn from(error: ProgramError) -> RunError {
+        match error {
+            ProgramError::Stopped => RunError::Interrupted,
+            ProgramError::Log(error) => RunError::File(error),
+            error => RunError::Program(error),
+        }
+    }
 }
 
 impl From<PosesError> for RunError {

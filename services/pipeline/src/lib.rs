@@ -58,13 +58,16 @@ pub(crate) use engine::log_loss;
 pub use engine::{ChosenEngine, choose_engine};
 pub use error::RunError;
 pub use import::render_views;
+pub use output::camera_path::CameraPath;
 pub use output::evaluate::{HeldOut, HeldOutScore, Score, SelectionMaskScore, held_out_render, score};
 pub use output::light::{AppearanceRequest, BakeRequest, Baked, BlendedAppearance, OWN, ScenePart, bake};
 pub use output::objects::{
     ExportedObjects, ListedObjects, ObjectList, SceneObject, export_objects, list_objects,
 };
-pub use output::render::{Mode, RenderContent, RenderRequest, RenderedFile, render};
+pub use output::render::{FRAMES_AROUND, Mode, RenderContent, RenderRequest, RenderedFile, UNSEEN, render};
 pub use output::report::write_report;
+pub use output::splat_files::{ConvertedFormat, ExportFormat, SplatTransform};
+pub use output::video::FRAMES_PER_SECOND;
 pub use session::prompts::{ObjectQuery, PhotoPrompts, Replay};
 
 pub use run::{

@@ -8,12 +8,13 @@ use axum::extract::{Path, Query, Request, State};
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post};
+use axum::routing::{MethodRouter, get, post};
 use axum::{Json, Router};
 use futures_util::stream;
 use segwild_farm::{EmbeddedEngine, EngineError, JobEngine, JobState};
 use segwild_monitor::{MonitorTarget, MonitorView};
 use segwild_pipeline::RunError;
+use segwild_scene::SplatFormat;
 use serde::Deserialize;
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -44,7 +45,9 @@ pub(crate) fn routes(runs: Runs) -> Router {
         .route("/api/v1/runs/{run}/photos/{photo}/labels", get(labels))
         .route("/api/v1/runs/{run}/objects/{object}/photos", get(photos_of))
         .route("/api/v1/runs/{run}/photos/{photo}/transients", get(transients))
-        .route("/api/v1/runs/{run}/objects/{object}/ply", get(object_ply))
+        .route("/api/v1/runs/{run}/objects/{object}/ply", object_file(SplatFormat::Ply))
+        .route("/api/v1/runs/{run}/objects/{object}/spz", object_file(SplatFormat::Spz))
+        .route("/api/v1/runs/{run}/objects/{object}/glb", object_file(SplatFormat::Glb))
         .route("/api/v1/runs/{run}/objects/{object}/save", post(save))
         .route("/api/v1/runs/{run}/export/labels.ply", get(labelled_ply))
         .route("/api/v1/runs/{run}/export/coco.json", get(coco))
@@ -298,8 +301,11 @@ async fn coco(State(runs): State<Runs>, Path(run): Path<String>) -> Answered {
     Ok(attached("coco.json", answered(&runs, &run, |studio| studio.coco()).await?))
 }
 
-async fn object_ply(State(runs): State<Runs>, Path((run, object)): Path<(String, String)>) -> Answered {
-    let object = number(&object)?;
-    let (name, ply) = answered(&runs, &run, move |studio| studio.object_ply(object)).await?;
-    Ok(attached(&format!("{name}.ply"), ply))
+/// Answers with an object as a file of a format.
+fn object_file(format: SplatFormat) -> MethodRouter<Runs> {
+    get(async move |State(runs): State<Runs>, Path((run, object)): Path<(String, String)>| -> Answered {
+        let object = number(&object)?;
+        let (name, bytes) = answered(&runs, &run, move |studio| studio.object_file(object, format)).await?;
+        Ok(attached(&name, bytes))
+    })
 }

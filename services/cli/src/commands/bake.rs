@@ -4,7 +4,9 @@ use super::render::{appearance, object_appearance};
 use crate::args::{self, appearances, choice, examples, json, path_of, selection};
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
+use crate::progress::stop_on_ctrl_c;
 use clap::{ArgMatches, Command};
+use segwild_flow::Stopper;
 use segwild_pipeline::{BakeRequest, RunFolder, ScenePart};
 
 /// The command's arguments.
@@ -19,7 +21,7 @@ pub fn command() -> Command {
             ["only", "without", "scene"],
             "What is written [default: only with --selection; scene otherwise, and with --object-appearance]",
         ))
-        .arg(args::path("out", "The file, .ply, .spz or .glb [default: RUN/baked.ply]"))
+        .arg(args::path("out", "The file: .ply, .spz, .glb; .compressed.ply, .sog, .html by splat-transform [default: RUN/baked.ply]"))
         .arg(json())
         .after_help(examples(
             "segwild bake runs/trevi --appearance sunset.jpg --out trevi.ply",
@@ -46,9 +48,19 @@ pub fn bake(matches: &ArgMatches) -> Result<(), Failure> {
         part,
         out: path_of(matches, "out").unwrap_or_else(|| folder.path().join("baked.ply")),
     };
-    let baked = segwild_pipeline::bake(&folder, &request)?;
+    let stopper = Stopper::new();
+    stop_on_ctrl_c(&stopper)?;
+    let baked = segwild_pipeline::bake(&folder, &request, &stopper)?;
     if matches.get_flag("json") {
         return print_json(&baked);
     }
-    print_line(&format!("{} splats: {}", baked.splats, baked.file.display()))
+    print_line(&format!("{} splats: {}", baked.splats, baked.file.display()))?;
+    match baked.unseen.filter(|share| *share > 0.0) {
+        Some(share) => print_line(&format!(
+            "{:.1} % of what `{}` covers in the photos no photo saw: there are holes",
+            100.0 * share,
+            word("selection").unwrap_or_default()
+        )),
+        None => Ok(()),
+    }
 }

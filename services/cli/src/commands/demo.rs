@@ -9,9 +9,7 @@ use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_eval::oracle::OracleOptions;
 use segwild_eval::trial::{ProviderKind, Trial};
 use segwild_flow::Stopper;
-use segwild_pipeline::{
-    AppearanceRequest, Mode, PhotoPrompts, Preset, RenderContent, RenderRequest, Settings, render,
-};
+use segwild_pipeline::{Mode, PhotoPrompts, Preset, RenderRequest, Settings, render};
 use segwild_synthetic::{ObjectKind, SyntheticOptions};
 use std::path::PathBuf;
 
@@ -99,16 +97,11 @@ pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
         }
         let request = RenderRequest {
             photos: vec![photo],
-            frames: None,
-            appearance: AppearanceRequest::default(),
-            object_appearance: None,
-            interpolate: None,
             selection: Some((object.name.clone(), Mode::Only)),
-            what: RenderContent::Colour,
-            width: None,
             out: Some(out.join("images").join(&object.name)),
+            ..RenderRequest::default()
         };
-        render(trial.folder(), &request)?;
+        render(trial.folder(), &request, &stopper)?;
     }
     if !json {
         print_line(&format!("open {}", trial.folder().report().display()))?;

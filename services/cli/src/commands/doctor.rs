@@ -6,7 +6,7 @@ use crate::failure::Failure;
 use crate::output::{print_json, print_line};
 use clap::{Arg, ArgMatches, Command};
 use segwild_gpu::{Adapter, AdapterChoice, GpuEngine};
-use segwild_pipeline::{RunSettings, Settings, choose_engine};
+use segwild_pipeline::{RunSettings, Settings, SplatTransform, choose_engine};
 use segwild_poses::{Colmap, Ffmpeg};
 use segwild_selftest::check;
 use segwild_vision::{ModelFile, Providers, Runtime, VisionSettings, models_in};
@@ -86,10 +86,21 @@ pub fn doctor(matches: &ArgMatches, program: Command) -> Result<(), Failure> {
         "video",
         Ffmpeg::find().map_or_else(
             || {
-                "no ffmpeg on the PATH: no photos out of videos (Debian, Ubuntu: apt-get install ffmpeg)"
+                "no ffmpeg on the PATH: no photos out of videos, no .mp4 (Debian, Ubuntu: apt-get install ffmpeg)"
                     .into()
             },
             |ffmpeg| ffmpeg.version,
+        ),
+    ));
+    found.push((
+        "exports",
+        SplatTransform::find().map_or_else(
+            || {
+                "no splat-transform on the PATH: no .sog, .compressed.ply and .html (npm install -g \
+                 @playcanvas/splat-transform)"
+                    .into()
+            },
+            |found| found.version,
         ),
     ));
     let named = || std::env::var_os("SEGWILD_MODELS").filter(|named| !named.is_empty());

@@ -9,11 +9,9 @@ use clap::builder::PossibleValuesParser;
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use segwild_flow::Stopper;
 use segwild_pipeline::{
-    ExportedObjects, ObjectList, RunFolder, SceneObject, Session, SessionOptions, export_objects,
-    list_objects,
+    ExportFormat, ExportedObjects, ObjectList, RunFolder, SceneObject, Session, SessionOptions,
+    export_objects, list_objects,
 };
-use segwild_scene::SplatFormat;
-use segwild_scene::settings::Value;
 use serde::Serialize;
 
 /// The command's arguments.
@@ -28,11 +26,14 @@ pub fn command() -> Command {
                 .action(ArgAction::Append)
                 .help("Name object N (a number, or its present name); an empty NAME takes its name away"),
         )
-        .arg(args::path("out", "Write all objects into this folder: a file each, labels.ply, coco.json"))
+        .arg(args::path(
+            "out",
+            "Write all objects into this folder: a file each, labels.ply, labels.npy, coco.json",
+        ))
         .arg(
             Arg::new("format")
                 .long("format")
-                .value_parser(PossibleValuesParser::new(SplatFormat::CHOICES))
+                .value_parser(PossibleValuesParser::new(ExportFormat::choices()))
                 .default_value("ply")
                 .requires("out")
                 .help("Format of the objects' files"),
@@ -78,7 +79,7 @@ pub fn objects(matches: &ArgMatches) -> Result<(), Failure> {
     let exported = match path_of(matches, "out") {
         Some(out) => {
             let format = matches.get_one::<String>("format").expect("it has a default");
-            let format = SplatFormat::read(format).expect("clap lets no other value through");
+            let format = ExportFormat::read(format).expect("clap lets no other value through");
             let appearance = matches.get_one::<String>("appearance").map_or("", String::as_str);
             Some(export_objects(&session, &listed, &out, appearance, format, &stopper)?)
         }

@@ -3,21 +3,38 @@
 use crate::args::{self, appearances, choice, examples, json, path_of, selection};
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
+use crate::progress::stop_on_ctrl_c;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_pipeline::{AppearanceRequest, Mode, RenderContent, RenderRequest, RunFolder};
+use segwild_flow::Stopper;
+use segwild_pipeline::{
+    AppearanceRequest, CameraPath, FRAMES_PER_SECOND, Mode, RenderContent, RenderRequest, RunFolder,
+};
+use segwild_scene::settings::Value;
 
 /// The command's arguments.
 pub fn command() -> Command {
     Command::new("render")
-        .about("Render views of photos, or a camera path; any appearance; a selection")
+        .about("Render views of photos, a camera path, or a video; any appearance; a selection")
         .arg(args::run())
         .arg(args::photos("View to render; two or more with --frames make a path [default: all]"))
+        .arg(choice(
+            "path",
+            ["photos", "turntable", "orbit"],
+            "Camera path: through the photos; around the selection alone; around it in its scene [default: photos]",
+        ))
         .arg(
             Arg::new("frames")
                 .long("frames")
                 .value_name("N")
                 .value_parser(value_parser!(u32).range(2..))
-                .help("Frames of the path through the photos"),
+                .help("Frames of the path [default: 120 around a selection]"),
+        )
+        .arg(
+            Arg::new("fps")
+                .long("fps")
+                .value_name("N")
+                .value_parser(value_parser!(u32).range(1..=240))
+                .help("Frames per second of a video [default: 30]"),
         )
         .args(appearances("view's own; on a path it changes from photo to photo"))
         .arg(selection("Render this selection"))
@@ -25,7 +42,7 @@ pub fn command() -> Command {
             choice(
                 "mode",
                 ["highlight", "only", "without", "scene"],
-                "How the selection is rendered [default: highlight; scene with --object-appearance]",
+                "How the selection is rendered [default: highlight; only on a turntable; scene with --object-appearance]",
             )
             .requires("selection"),
         )
@@ -40,11 +57,11 @@ pub fn command() -> Command {
                 .value_parser(value_parser!(u32).range(16..=16384))
                 .help("Long side of the images [default: as trained]"),
         )
-        .arg(args::path("out", "Folder for the images [default: RUN/renders]"))
+        .arg(args::path("out", "Folder for the images, or a video .mp4 [default: RUN/renders]"))
         .arg(json())
         .after_help(examples(
             "segwild render runs/trevi --photo a.jpg --selection oceanus --mode only",
-            "segwild render runs/trevi --photo a.jpg --photo b.jpg --frames 60 --appearance night.jpg",
+            "segwild render runs/trevi --selection oceanus --path turntable --out oceanus.mp4",
         ))
 }
 
@@ -53,11 +70,15 @@ pub fn render(matches: &ArgMatches) -> Result<(), Failure> {
     let folder = RunFolder::open(&path_of(matches, "run").expect("clap requires it"))?;
     let word = |name: &str| matches.get_one::<String>(name).cloned();
     let object_appearance = object_appearance(matches);
+    let path = word("path").map_or(CameraPath::Photos, |word| {
+        CameraPath::read(&word).expect("clap lets no other value through")
+    });
     let mode = match word("mode").as_deref() {
         Some("only") => Mode::Only,
         Some("without") => Mode::Without,
         Some("scene") => Mode::Scene,
         None if object_appearance.is_some() => Mode::Scene,
+        None if path == CameraPath::Turntable => Mode::Only,
         _ => Mode::Highlight,
     };
     let what = match word("what").as_deref() {
@@ -68,7 +89,9 @@ pub fn render(matches: &ArgMatches) -> Result<(), Failure> {
     };
     let request = RenderRequest {
         photos: matches.get_many::<String>("photo").into_iter().flatten().cloned().collect(),
+        path,
         frames: matches.get_one::<u32>("frames").copied(),
+        rate: matches.get_one::<u32>("fps").copied().unwrap_or(FRAMES_PER_SECOND),
         appearance: appearance(matches, "appearance", "strength"),
         object_appearance,
         interpolate: matches.get_one::<f32>("interpolate").copied(),
@@ -77,14 +100,24 @@ pub fn render(matches: &ArgMatches) -> Result<(), Failure> {
         width: matches.get_one::<u32>("width").copied(),
         out: path_of(matches, "out"),
     };
-    for rendered in segwild_pipeline::render(&folder, &request)? {
+    let stopper = Stopper::new();
+    stop_on_ctrl_c(&stopper)?;
+    for rendered in segwild_pipeline::render(&folder, &request, &stopper)? {
         if matches.get_flag("json") {
             print_json(&rendered)?;
         } else {
-            print_line(&rendered.file.display().to_string())?;
+            print_line(&format!("{}{}", rendered.file.display(), unseen(rendered.unseen)))?;
         }
     }
     Ok(())
+}
+
+/// What an image shows that no photo saw, in words.
+fn unseen(share: Option<f32>) -> String {
+    match share.filter(|share| *share > 0.0) {
+        Some(share) => format!(" ({:.1} % of its pixels show what no photo saw)", 100.0 * share),
+        None => String::new(),
+    }
 }
 
 /// The appearances that a flag names.

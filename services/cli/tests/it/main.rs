@@ -13,6 +13,7 @@ mod deploying;
 mod disk;
 mod distorted;
 mod elsewhere;
+mod exports;
 mod farm;
 mod import;
 mod kills;

@@ -1,7 +1,9 @@
 //! Requested appearances: a photo's, interpolated between photos, stronger or weaker, for the scene and for one object.
 
-use crate::{RunError, RunFolder, Selected};
-use segwild_scene::{Export, Scene, SplatFormat, Splats};
+use crate::output::without::SceneWithout;
+use crate::{ExportFormat, RunError, RunFolder, Selected, choose_engine, log_loss};
+use segwild_flow::Stopper;
+use segwild_scene::{Export, Scene, Splats};
 use segwild_trainer::{Model, SceneLight, SceneLighting};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -149,14 +151,17 @@ pub struct Baked {
     pub file: PathBuf,
     /// Splats in it.
     pub splats: usize,
+    /// Of a scene without an object: the share of what the object covers in the photos that no photo saw, in [0, 1].
+    pub unseen: Option<f32>,
 }
 
 /// Writes the scene, or a part of it, with an appearance.
 ///
 /// # Errors
-/// When the run is not trained yet, the request does not fit the run, the file's ending names no format, or it cannot be written.
-pub fn bake(folder: &RunFolder, request: &BakeRequest) -> Result<Baked, RunError> {
-    SplatFormat::of(&request.out).map_err(|error| RunError::Request(error.to_string()))?;
+/// When the run is not trained yet, the request does not fit the run, the file's ending names no format, its program is missing or
+/// fails, it cannot be written, or `stopper` stops it.
+pub fn bake(folder: &RunFolder, request: &BakeRequest, stopper: &Stopper) -> Result<Baked, RunError> {
+    let writer = ExportFormat::of(&request.out)?.writer()?;
     let loaded = folder.load()?;
     let (scene, mut model) = (&loaded.scene, loaded.model);
     let mut whose = vec![false; model.splats.len()];
@@ -172,11 +177,19 @@ pub fn bake(folder: &RunFolder, request: &BakeRequest) -> Result<Baked, RunError
         }
         None => {}
     }
+    let mut unseen = None;
     if request.part != ScenePart::Scene {
-        let wanted = request.part == ScenePart::Only;
-        let keep: Vec<usize> = (0..whose.len()).filter(|&i| whose[i] == wanted).collect();
+        let keep = if request.part == ScenePart::Only {
+            (0..whose.len()).filter(|&i| whose[i]).collect()
+        } else {
+            let engine = choose_engine(&loaded.settings.run, log_loss)?.engine;
+            let (splats, size) = ((&model.splats, model.options()), loaded.settings.scene.size);
+            let without = SceneWithout::of_run(&*engine, folder, scene, splats, &whose, size)?;
+            unseen = Some(without.unseen_share(&*engine, scene, size)?);
+            without.keep
+        };
         model.select(&keep);
-        whose = vec![wanted; keep.len()];
+        whose = vec![request.part == ScenePart::Only; keep.len()];
     }
     let light = |appearance: &AppearanceRequest| -> Result<Option<SceneLight>, RunError> {
         if appearance.photos.len() > 1 && request.interpolate.is_none() {
@@ -192,8 +205,8 @@ pub fn bake(folder: &RunFolder, request: &BakeRequest) -> Result<Baked, RunError
     let lighting =
         SceneLighting { scene: light(&request.appearance)?.unwrap_or_else(|| model.light(None)), objects };
     let baked = model.baked(&lighting);
-    export(scene, &model).write(&request.out, &baked)?;
-    Ok(Baked { file: request.out.clone(), splats: baked.len() })
+    writer.write(&export(scene, &model), &request.out, &baked, stopper)?;
+    Ok(Baked { file: request.out.clone(), splats: baked.len(), unseen })
 }
 
 /// The export of a trained scene's splats for other programs.

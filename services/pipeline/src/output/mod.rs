@@ -1,8 +1,13 @@
 //! What comes of a run: renders, appearances, scores, the list of objects, the report.
 
+pub(crate) mod camera_path;
+pub(crate) mod cover;
 pub(crate) mod evaluate;
 pub(crate) mod light;
 pub(crate) mod object_masks;
 pub(crate) mod objects;
 pub(crate) mod render;
 pub(crate) mod report;
+pub(crate) mod splat_files;
+pub(crate) mod video;
+pub(crate) mod without;

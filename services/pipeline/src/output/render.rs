@@ -2,15 +2,20 @@
 
 use crate::artifacts::folder::Loaded;
 use crate::artifacts::images::ImageFiles;
-use crate::output::light::{AppearanceRequest, find};
+use crate::output::camera_path::{self, CameraPath, InterpolatedCamera, ObjectSphere, PathCamera};
+use crate::output::cover::cover;
+use crate::output::light::{AppearanceRequest, Lights, find};
+use crate::output::video::{self, FRAMES_PER_SECOND};
+use crate::output::without::SceneWithout;
 use crate::{RunError, RunFolder, Selected, choose_engine, log_loss};
-use glam::{Mat3, Quat, Vec3};
+use glam::Vec3;
 use segwild_features::FeatureColours;
+use segwild_flow::{FileError, Phase, Stopper, files};
 use segwild_raster::{Channels, Kept, Rasterizer};
-use segwild_scene::{Camera, Image, Pose, Scene};
+use segwild_scene::{Camera, Image, Pose, Scene, View};
 use segwild_trainer::{Model, SceneLight, SceneLighting, render_lit};
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// How a selection is rendered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,12 +46,16 @@ pub enum RenderContent {
 /// A request for renders.
 #[derive(Clone, Debug)]
 pub struct RenderRequest {
-    /// Names of the photos whose views are rendered, or through which the path runs; empty: all.
+    /// Names of the photos whose views are rendered, or through or among which the path runs; empty: all.
     pub photos: Vec<String>,
-    /// Number of renders along a path through the photos; `None`: one per photo.
+    /// The way of the camera.
+    pub path: CameraPath,
+    /// Number of renders along the path. `None`: one per photo; [`FRAMES_AROUND`] around an object.
     pub frames: Option<u32>,
-    /// The appearance. Without a photo it is the view's own, and on a path it changes from photo to photo. Several
-    /// appearances are interpolated over the frames.
+    /// Frames in a second of a video.
+    pub rate: u32,
+    /// The appearance. Without a photo it is the view's own, on a path through photos it changes from photo to photo, and around
+    /// an object it is the scene's own. Several appearances are interpolated over the frames.
     pub appearance: AppearanceRequest,
     /// Another appearance for the selected object.
     pub object_appearance: Option<AppearanceRequest>,
@@ -58,8 +67,27 @@ pub struct RenderRequest {
     pub what: RenderContent,
     /// Long side in pixels; `None`: as trained.
     pub width: Option<u32>,
-    /// The folder for the renders; `None`: `RUN/renders`.
+    /// The folder for the renders, or an `.mp4` for all of them; `None`: `RUN/renders`.
     pub out: Option<PathBuf>,
+}
+
+impl Default for RenderRequest {
+    /// The views of all photos, as trained.
+    fn default() -> RenderRequest {
+        RenderRequest {
+            photos: Vec::new(),
+            path: CameraPath::Photos,
+            frames: None,
+            rate: FRAMES_PER_SECOND,
+            appearance: AppearanceRequest::default(),
+            object_appearance: None,
+            interpolate: None,
+            selection: None,
+            what: RenderContent::Colour,
+            width: None,
+            out: None,
+        }
+    }
 }
 
 /// A render that was written.
@@ -69,41 +97,75 @@ pub struct RenderedFile {
     pub file: PathBuf,
     /// What it shows.
     pub view: String,
+    /// Of a scene without an object: the share of its pixels that show what no photo saw, in [0, 1]. They are marked in an image of
+    /// the same name in the folder [`UNSEEN`]. Of a video: the mean over its frames.
+    pub unseen: Option<f32>,
 }
+
+/// The folder beside renders for what no photo saw.
+pub const UNSEEN: &str = "unseen";
+
+/// Frames of a path around an object, unless a request says otherwise.
+pub const FRAMES_AROUND: u32 = 120;
 
 /// Writes the requested renders.
 ///
 /// # Errors
-/// When the run is not trained yet, the request does not fit the run, the engine fails, or a file cannot be written.
-pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<RenderedFile>, RunError> {
+/// When the run is not trained yet, the request does not fit the run, the engine fails, a video is requested and ffmpeg is missing
+/// or fails, a file cannot be written, or `stopper` stops it.
+pub fn render(
+    folder: &RunFolder,
+    request: &RenderRequest,
+    stopper: &Stopper,
+) -> Result<Vec<RenderedFile>, RunError> {
+    request.check()?;
+    let out = request.out.clone().unwrap_or_else(|| folder.path().join("renders"));
+    if !video::is_video(&out) {
+        return render_into(folder, request, &out, stopper);
+    }
+    let encoder = video::encoder()?;
+    let mut unseen = None;
+    files::write_by_folder(&out, |aside| -> Result<(), RunError> {
+        let frames = render_into(folder, request, aside, stopper)?;
+        let shares: Option<Vec<f32>> = frames.iter().map(|frame| frame.unseen).collect();
+        unseen = shares.map(|shares| shares.iter().sum::<f32>() / shares.len().max(1) as f32);
+        let written = aside.join(out.file_name().unwrap_or_default());
+        video::encode(&encoder, aside, request.rate, &written, stopper)
+    })?;
+    let view = request.path.to_string();
+    Ok(vec![RenderedFile { file: out, view, unseen }])
+}
+
+/// Writes the renders into a folder.
+fn render_into(
+    folder: &RunFolder,
+    request: &RenderRequest,
+    out: &Path,
+    stopper: &Stopper,
+) -> Result<Vec<RenderedFile>, RunError> {
     let loaded = folder.load()?;
     let engine = choose_engine(&loaded.settings.run, log_loss)?.engine;
     let chosen: Vec<usize> = match request.photos.is_empty() {
         true => (0..loaded.scene.views.len()).collect(),
         false => request.photos.iter().map(|n| find(&loaded.scene, n)).collect::<Result<_, _>>()?,
     };
-    check_appearances(request)?;
     let selected = match &request.selection {
         Some((name, mode)) => Some((Selected::read(folder, name, loaded.model.splats.len())?, *mode)),
         None => None,
     };
     let size = request.width.unwrap_or(loaded.settings.scene.size);
-    let jobs = match request.frames {
-        None => chosen.iter().map(|&v| RenderJob::of_view(&loaded.scene, v, size)).collect(),
-        // One view, and a sequence of appearances.
-        Some(frames) if chosen.len() == 1 => {
-            let still = |f| RenderJob {
-                name: frame_name(f),
-                file: Some(frame_name(f) + ".png"),
-                ..RenderJob::of_view(&loaded.scene, chosen[0], size)
-            };
-            (0..frames).map(still).collect()
+    let jobs = request.jobs(&loaded, &chosen, selected.as_ref().map(|(selected, _)| selected), size)?;
+    std::fs::create_dir_all(out).map_err(|e| FileError::new("create", out, e))?;
+    let without = match &selected {
+        Some((selected, Mode::Without)) => {
+            let cut = selected.cut_scene(&loaded.model.splats);
+            let (splats, trained) = ((&cut, loaded.model.options()), loaded.settings.scene.size);
+            Some(SceneWithout::of_run(&*engine, folder, &loaded.scene, splats, &selected.labels, trained)?)
         }
-        Some(frames) => path(&loaded.scene, &chosen, frames, size),
+        _ => None,
     };
-    let out = request.out.clone().unwrap_or_else(|| folder.path().join("renders"));
-    std::fs::create_dir_all(&out).map_err(|e| segwild_flow::FileError::new("create", &out, e))?;
-    let renderer = SceneRenderer::new(&loaded, selected, request.what, &*engine)?;
+    let renderer = SceneRenderer::with(&loaded, selected, without.as_ref(), request.what, &*engine)?;
+    let plain = &*engine;
     let held = engine.hold(&renderer.model.splats)?;
     let engine = held.as_deref().unwrap_or(&*engine);
     let mut rendered = Vec::new();
@@ -112,18 +174,114 @@ pub fn render(folder: &RunFolder, request: &RenderRequest) -> Result<Vec<Rendere
         Some(appearance) => Some(appearance.lights(&loaded.scene, &renderer.model)?),
         None => None,
     };
+    let sequence = request.frames.is_some() || request.path != CameraPath::Photos;
     let last = jobs.len().saturating_sub(1).max(1) as f32;
-    let files = ImageFiles::of(loaded.scene.views.iter().map(|v| v.name.as_str()));
     for (f, job) in jobs.into_iter().enumerate() {
-        let share = request.frames.map_or(request.interpolate.unwrap_or(0.0), |_| f as f32 / last);
+        if stopper.phase() != Phase::Running {
+            return Err(RunError::Interrupted);
+        }
+        let share = if sequence { f as f32 / last } else { request.interpolate.unwrap_or(0.0) };
         let light = lights.at(share).unwrap_or_else(|| renderer.own(&job, request.appearance.strength));
-        let lighting = renderer.lighting(light, object_lights.as_ref().and_then(|lights| lights.at(share)));
-        let image = renderer.render(engine, &job.camera, &job.pose, &lighting)?;
-        let file = out.join(job.file.as_deref().unwrap_or_else(|| files.name(job.view)));
+        let object_light = object_lights.as_ref().and_then(|lights: &Lights| lights.at(share));
+        let lighting = renderer.lighting(light, object_light);
+        let image = renderer.render(engine, &job.at.camera, &job.at.pose, &lighting)?;
+        let file = out.join(&job.file);
         image.write_png(&file)?;
-        rendered.push(RenderedFile { file, view: job.name });
+        let unseen = match &without {
+            Some(without) => {
+                let PathCamera { camera, pose } = &job.at;
+                let mask = without.unseen(plain, camera, pose, &renderer.cover(engine, camera, pose)?)?;
+                if !mask.is_empty() {
+                    let folder = out.join(UNSEEN);
+                    std::fs::create_dir_all(&folder).map_err(|e| FileError::new("create", &folder, e))?;
+                    mask.write_png(&folder.join(&job.file).with_extension("png"))?;
+                }
+                Some(mask.count() as f32 / image.pixels() as f32)
+            }
+            None => None,
+        };
+        rendered.push(RenderedFile { file, view: job.name, unseen });
     }
     Ok(rendered)
+}
+
+impl RenderRequest {
+    /// Refuses what does not fit together.
+    fn check(&self) -> Result<(), RunError> {
+        let refuse = |text: &str| Err(RunError::Request(text.into()));
+        let around = self.path != CameraPath::Photos;
+        if around && self.selection.is_none() {
+            return refuse("a path around an object needs --selection NAME");
+        }
+        if !around && self.frames.is_none() && self.out.as_deref().is_some_and(video::is_video) {
+            return refuse("a video through photos needs --frames N");
+        }
+        check_appearances(self)
+    }
+
+    /// What is to be rendered.
+    fn jobs(
+        &self,
+        loaded: &Loaded,
+        chosen: &[usize],
+        selected: Option<&Selected>,
+        size: u32,
+    ) -> Result<Vec<RenderJob>, RunError> {
+        let scene = &loaded.scene;
+        let frame = |(at, own): (PathCamera, OwnLight), f: usize| {
+            let name = format!("path-{f:04}");
+            RenderJob { file: format!("{name}.png"), name, at, own }
+        };
+        let frames = |cameras: Vec<(PathCamera, OwnLight)>| {
+            cameras.into_iter().zip(0..).map(|(camera, f)| frame(camera, f)).collect()
+        };
+        let cameras: Vec<PathCamera> = chosen.iter().map(|&view| camera_of(scene, view)).collect();
+        let around = |path: fn(&[PathCamera], Vec3, &ObjectSphere, u32, u32) -> Vec<PathCamera>| {
+            let object = selected.map_or(Vec::new(), Selected::splats);
+            let sphere = ObjectSphere::of(&loaded.model.splats, &object).ok_or_else(|| {
+                RunError::Request("the selection is empty: there is nothing to go around".into())
+            })?;
+            let up = camera_path::scene_up(scene.views.iter().map(|view| &view.pose));
+            let path = path(&cameras, up, &sphere, self.frames.unwrap_or(FRAMES_AROUND), size);
+            Ok::<_, RunError>(frames(path.into_iter().map(|camera| (camera, OwnLight::Scene)).collect()))
+        };
+        Ok(match (self.path, self.frames) {
+            (CameraPath::Turntable, _) => around(camera_path::turntable)?,
+            (CameraPath::Orbit, _) => around(camera_path::orbit)?,
+            (CameraPath::Photos, None) => {
+                let files = ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()));
+                let job = |(&view, &PathCamera { camera, pose }): (&usize, &PathCamera)| {
+                    let name = scene.views[view].name.as_str();
+                    RenderJob {
+                        name: name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_owned(),
+                        file: files.name(view).to_owned(),
+                        at: PathCamera { camera: camera.scaled_to(size), pose },
+                        own: OwnLight::Photo(view),
+                    }
+                };
+                chosen.iter().zip(&cameras).map(job).collect()
+            }
+            // One view, and a sequence of appearances.
+            (CameraPath::Photos, Some(count)) if chosen.len() == 1 => {
+                let PathCamera { camera, pose } = cameras[0];
+                let still = PathCamera { camera: camera.scaled_to(size), pose };
+                frames(vec![(still, OwnLight::Photo(chosen[0])); count as usize])
+            }
+            (CameraPath::Photos, Some(count)) => {
+                let light = |at: &InterpolatedCamera| {
+                    OwnLight::Interpolated(chosen[at.first], chosen[at.first + 1], at.share)
+                };
+                let path = camera_path::through_photos(&cameras, count, size);
+                frames(path.iter().map(|at| (at.at, light(at))).collect())
+            }
+        })
+    }
+}
+
+/// A photo's own camera.
+fn camera_of(scene: &Scene, view: usize) -> PathCamera {
+    let View { camera, pose, .. } = &scene.views[view];
+    PathCamera { camera: *camera, pose: *pose }
 }
 
 /// Refuses appearances that do not fit together or do not fit the request.
@@ -137,20 +295,25 @@ fn check_appearances(request: &RenderRequest) -> Result<(), RunError> {
     if request.object_appearance.as_ref().is_some_and(|appearance| appearance.photos.is_empty()) {
         return refuse("the object's appearance names no photo");
     }
-    if sequence && request.frames.is_none() && request.interpolate.is_none() {
+    let through = request.path == CameraPath::Photos;
+    if sequence && through && request.frames.is_none() && request.interpolate.is_none() {
         return refuse(
             "two appearances need --frames N, a sequence between them, or --interpolate T, 0 to 1",
         );
     }
     if request.interpolate.is_some()
-        && (request.frames.is_some() || appearances().all(AppearanceRequest::is_one))
+        && (request.frames.is_some() || !through || appearances().all(AppearanceRequest::is_one))
     {
         return refuse("--interpolate needs two appearances, and no --frames");
     }
     if request.interpolate.is_some_and(|t| !(0.0..=1.0).contains(&t)) {
         return refuse("--interpolate is a share from 0 to 1");
     }
-    if request.frames.is_some() && request.photos.len() < 2 && !(request.photos.len() == 1 && sequence) {
+    if through
+        && request.frames.is_some()
+        && request.photos.len() < 2
+        && !(request.photos.len() == 1 && sequence)
+    {
         return refuse(
             "a path needs two photos or more: give --photo twice; or one --photo and two appearances to interpolate",
         );
@@ -161,75 +324,22 @@ fn check_appearances(request: &RenderRequest) -> Result<(), RunError> {
 /// One image to render.
 struct RenderJob {
     name: String,
-    /// The image's file, if it is not that of its photo.
-    file: Option<String>,
-    camera: Camera,
-    pose: Pose,
-    /// The view whose appearance it has.
-    view: usize,
-    /// The view that the path leads to next, and the share of the way to it, 0 to 1.
-    towards: (usize, f32),
+    /// The image's file.
+    file: String,
+    at: PathCamera,
+    own: OwnLight,
 }
 
-fn frame_name(frame: u32) -> String {
-    format!("path-{frame:04}")
+/// The light of an image for which no appearance is requested.
+#[derive(Clone, Copy, Debug)]
+enum OwnLight {
+    /// The scene's own.
+    Scene,
+    /// A photo's.
+    Photo(usize),
+    /// Interpolated: a share of the way from the first to the second, 0 to 1.
+    Interpolated(usize, usize, f32),
 }
-
-impl RenderJob {
-    fn of_view(scene: &Scene, view: usize, size: u32) -> RenderJob {
-        let v = &scene.views[view];
-        RenderJob {
-            name: v.name.rsplit_once('.').map_or(v.name.as_str(), |(stem, _)| stem).to_owned(),
-            file: None,
-            camera: v.camera.scaled_to(size),
-            pose: v.pose,
-            view,
-            towards: (view, 0.0),
-        }
-    }
-}
-
-/// A smooth path through the views: centres along a Catmull-Rom spline, rotations slerped, intrinsics of the first
-/// with the focal length blended.
-fn path(scene: &Scene, through: &[usize], frames: u32, size: u32) -> Vec<RenderJob> {
-    let key = |k: isize| &scene.views[through[k.clamp(0, through.len() as isize - 1) as usize]];
-    let rotation = |pose: &Pose| Quat::from_mat3(&pose.rotation.transpose());
-    let first = key(0).camera.scaled_to(size);
-    (0..frames)
-        .map(|f| {
-            let at = f as f32 / (frames - 1) as f32 * (through.len() - 1) as f32;
-            let k = (at as usize).min(through.len() - 2) as isize;
-            let t = at - k as f32;
-            let c = |i: isize| key(k + i).pose.centre();
-            let centre = catmull_rom(c(-1), c(0), c(1), c(2), t);
-            let turn = rotation(&key(k).pose).slerp(rotation(&key(k + 1).pose), t);
-            let rotation = Mat3::from_quat(turn).transpose();
-            let relative = |i: isize| key(k + i).camera.fy / key(k + i).camera.height as f32;
-            let focal = (relative(0) * (1.0 - t) + relative(1) * t) * first.height as f32;
-            let camera = Camera {
-                fx: focal,
-                fy: focal,
-                cx: first.width as f32 / 2.0,
-                cy: first.height as f32 / 2.0,
-                ..first
-            };
-            let pose = Pose { rotation, translation: -(rotation * centre) };
-            let (view, next) = (through[k as usize], through[k as usize + 1]);
-            let file = Some(frame_name(f) + ".png");
-            RenderJob { name: frame_name(f), file, camera, pose, view, towards: (next, t) }
-        })
-        .collect()
-}
-
-fn catmull_rom(a: Vec3, b: Vec3, c: Vec3, d: Vec3, t: f32) -> Vec3 {
-    0.5 * ((2.0 * b)
-        + (c - a) * t
-        + (2.0 * a - 5.0 * b + 4.0 * c - d) * t * t
-        + (3.0 * b - a - 3.0 * c + d) * t * t * t)
-}
-
-/// No channels: blending them gives alpha alone.
-pub(crate) const NOTHING: Channels = Channels { count: 0, values: &[] };
 
 /// Colour that highlights a selection.
 const TINT: [f32; 3] = [1.0, 0.35, 0.1];
@@ -257,6 +367,17 @@ impl<'a> SceneRenderer<'a> {
         what: RenderContent,
         engine: &dyn Rasterizer,
     ) -> Result<SceneRenderer<'a>, RunError> {
+        Self::with(loaded, selected, None, what, engine)
+    }
+
+    /// The same; `without` is what is known of the scene without the selection, for [`Mode::Without`].
+    fn with(
+        loaded: &'a Loaded,
+        selected: Option<(Selected, Mode)>,
+        without: Option<&SceneWithout>,
+        what: RenderContent,
+        engine: &dyn Rasterizer,
+    ) -> Result<SceneRenderer<'a>, RunError> {
         let mut model = loaded.model.clone();
         let (mut whose, mut highlight, mut only) = (None, None, false);
         if let Some((selected, mode)) = selected {
@@ -269,7 +390,8 @@ impl<'a> SceneRenderer<'a> {
                     return Err(RunError::Request(text.into()));
                 }
                 only = mode == Mode::Only;
-                let keep: Vec<usize> = (0..labels.len()).filter(|&i| labels[i] == only).collect();
+                let others = || (0..labels.len()).filter(|&i| labels[i] == only).collect();
+                let keep: Vec<usize> = without.map_or_else(others, |without| without.keep.clone());
                 model.select(&keep);
                 labels = vec![only; keep.len()];
             }
@@ -297,12 +419,21 @@ impl<'a> SceneRenderer<'a> {
         Ok(SceneRenderer { model, whose, highlight, only, what, features })
     }
 
-    /// The light of a job: its view's, or interpolated towards the next view's.
+    /// The light of a job for which no appearance is requested.
     fn own(&self, job: &RenderJob, strength: f32) -> SceneLight {
-        let (next, t) = job.towards;
         let light = |view| self.model.light(Some(view));
-        let own = if t == 0.0 { light(job.view) } else { light(job.view).towards(&light(next), t) };
+        let own = match job.own {
+            OwnLight::Scene => return self.model.light(None),
+            OwnLight::Photo(view) => light(view),
+            OwnLight::Interpolated(from, to, share) => light(from).towards(&light(to), share),
+        };
         self.model.strengthened(&own, strength)
+    }
+
+    /// How much of each pixel its splats cover.
+    fn cover(&self, engine: &dyn Rasterizer, camera: &Camera, pose: &Pose) -> Result<Image, RunError> {
+        let projected = engine.project(&self.model.splats, camera, pose, &self.model.options())?;
+        cover(&*projected)
     }
 
     /// The scene in one light, the selection in another if there is one.
@@ -329,7 +460,7 @@ impl<'a> SceneRenderer<'a> {
             let mut image = render_lit(&self.model, engine, camera, pose, lighting)?;
             let project = || engine.project(splats, camera, pose, &options);
             if self.only {
-                let alpha = project()?.blend(&NOTHING)?.alpha;
+                let alpha = cover(&*project()?)?;
                 let background = lighting.scene.background().paint(camera, pose);
                 over_white(&mut image, &alpha, &background);
             }
@@ -351,7 +482,7 @@ impl<'a> SceneRenderer<'a> {
             (RenderContent::Features, Some((field, colours))) => {
                 Ok(colours.paint(&projected.blend_kept(field)?))
             }
-            (RenderContent::Alpha, _) => Ok(projected.blend(&NOTHING)?.alpha),
+            (RenderContent::Alpha, _) => cover(&*projected),
             _ => {
                 let frame = projected.blend(&Channels { count: 1, values: projected.depths() })?;
                 Ok(bright_when_near(&frame.image, &frame.alpha))

@@ -169,7 +169,7 @@ impl Session {
                 model.options(),
                 MaskMode::Visible,
             )?;
-            let keep: Vec<usize> = (0..cut_splats.len()).filter(|&i| selected.labels[i]).collect();
+            let keep = selected.splats();
             let alone = cut_splats.select(&keep);
             let whole = vec![true; keep.len()];
             let alone = ObjectMasks::new(&**engine, &alone, &whole, model.options(), MaskMode::Amodal)?;

@@ -119,6 +119,11 @@ impl Selected {
         Selected { labels, changed: Vec::new() }
     }
 
+    /// The indexes of its splats.
+    pub(crate) fn splats(&self) -> Vec<usize> {
+        (0..self.labels.len()).filter(|&i| self.labels[i]).collect()
+    }
+
     /// The scene with the cut applied.
     pub fn cut_scene(&self, splats: &Splats) -> Splats {
         let mut splats = splats.clone();

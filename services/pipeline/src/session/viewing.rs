@@ -3,12 +3,15 @@
 use super::answer::Answer;
 use super::resident::{PHOTO_BYTES, Session};
 use super::selected::Selected;
+use crate::output::cover::cover;
 use crate::output::light::{self, BlendedAppearance};
-use crate::output::render::{HIGHLIGHT, NOTHING, over_white};
+use crate::output::render::{HIGHLIGHT, over_white};
 use crate::{PhotoPrompts, RunError, transients};
 use segwild_flow::Stopper;
 use segwild_raster::{Channels, CpuEngine, FrontLayer};
-use segwild_scene::{BoxPrompt, Camera, Export, Image, Mask, PointPrompt, Pose, Prompts, Splats};
+use segwild_scene::{
+    BoxPrompt, Camera, Export, Image, Mask, PointPrompt, Pose, Prompts, SceneError, SplatFormat, Splats,
+};
 use segwild_trainer::{Model, SceneLighting, render_lit};
 
 /// Numbers per splat that a highlight blends: colour times share, and share.
@@ -180,7 +183,7 @@ impl Session {
         }
         let projected = self.engine.project(&model.splats, camera, pose, &model.options())?;
         if *alone {
-            let alpha = projected.blend(&NOTHING)?.alpha;
+            let alpha = cover(&*projected)?;
             over_white(&mut image, &alpha, &lighting.scene.background().paint(camera, pose));
         }
         if !highlight.is_empty() {
@@ -234,18 +237,21 @@ impl Session {
         Ok(self.model.baked(&appearance.light(&self.scene, &self.model)?.into()))
     }
 
-    /// The splats of an object, its spikes cut, as the bytes of a `.ply` for other programs.
+    /// The splats of an object, its spikes cut, as the bytes of a file for other programs.
     ///
     /// # Errors
-    /// When a photo of the appearance is unknown or took no part in the training.
-    pub fn object_ply(
+    /// When a photo of the appearance is unknown or took no part in the training, or the compression fails.
+    pub fn object_file(
         &self,
         selected: &Selected,
         appearance: &BlendedAppearance,
+        format: SplatFormat,
     ) -> Result<Vec<u8>, RunError> {
         let in_colour = selected.cut_scene(&self.in_colour(appearance)?);
-        let keep: Vec<usize> = (0..in_colour.len()).filter(|&i| selected.labels[i]).collect();
-        Ok(light::export(&self.scene, &self.model).to_bytes(&in_colour.select(&keep)))
+        let export = light::export(&self.scene, &self.model);
+        Ok(export
+            .encode(format, &in_colour.select(&selected.splats()))
+            .map_err(SceneError::io(self.folder.path()))?)
     }
 
     /// The whole scene as the bytes of a `.ply`; the property `object` of a splat is its number in `labels`, 0 for none.
@@ -255,7 +261,8 @@ impl Session {
     pub fn labelled_ply(&self, labels: &[u8], appearance: &BlendedAppearance) -> Result<Vec<u8>, RunError> {
         let extra: &[(&str, &[u8])] = &[("object", labels)];
         let export = Export { extra, ..light::export(&self.scene, &self.model) };
-        Ok(export.to_bytes(&self.in_colour(appearance)?))
+        let bytes = export.encode(SplatFormat::Ply, &self.in_colour(appearance)?);
+        Ok(bytes.map_err(SceneError::io(self.folder.path()))?)
     }
 
     /// The masks of named objects on all photos, as a COCO file with compressed run lengths, in pixels of the photos as taken.

@@ -12,6 +12,7 @@ use glam::DVec3;
 use segwild_files::write_atomic;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// From so many scene extents on, coordinates do not fit single precision: what is half of a millionth of the extent becomes
@@ -67,7 +68,7 @@ impl SplatFormat {
     pub fn of(path: &Path) -> Result<SplatFormat, SceneError> {
         let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
         let refused = || {
-            let reason = "splats are written as .ply, .spz or .glb; splat-transform makes others of a .ply";
+            let reason = "splats are written as .ply, .spz or .glb";
             SceneError::invalid(path, "its ending", reason)
         };
         SplatFormat::read(&ending).map_err(|_| refused())
@@ -100,18 +101,35 @@ impl Export<'_> {
     /// # Panics
     /// As [`crate::ply::write_with`].
     pub fn write(&self, path: &Path, splats: &Splats) -> Result<(), SceneError> {
-        let bytes = match SplatFormat::of(path)? {
-            SplatFormat::Ply => self.to_bytes(splats),
-            SplatFormat::Spz => spz::to_bytes(&self.in_file_frame(splats).half_turned(X), self.antialias)
-                .map_err(SceneError::io(path))?,
-            SplatFormat::Glb => {
-                let notes =
-                    json!({ "SplatRenderMode": self.mode(), "offset": self.frame.offset().to_array() });
-                glb::to_bytes(&self.in_file_frame(splats).half_turned(Z), &notes)
+        let format = SplatFormat::of(path)?;
+        write_atomic(path, &self.encode(format, splats).map_err(SceneError::io(path))?)?;
+        self.note_offset(path)
+    }
+
+    /// The bytes of a file. Of a `.ply`, the header gives the render mode (`comment SplatRenderMode: mip`, or `default`) and, where
+    /// there is one, the offset (`comment offset X Y Z`).
+    ///
+    /// # Errors
+    /// When the compression of `.spz` fails.
+    ///
+    /// # Panics
+    /// As [`crate::ply::write_with`].
+    pub fn encode(&self, format: SplatFormat, splats: &Splats) -> io::Result<Vec<u8>> {
+        let (splats, offset, mode) = (self.in_file_frame(splats), self.frame.offset(), self.mode());
+        Ok(match format {
+            SplatFormat::Ply => {
+                let mut comments = vec![format!("SplatRenderMode: {mode}")];
+                if offset != DVec3::ZERO {
+                    comments.push(format!("offset {} {} {}", offset.x, offset.y, offset.z));
+                }
+                to_bytes(&splats, self.extra, &comments)
             }
-        };
-        write_atomic(path, &bytes)?;
-        note(path, self.frame.offset())
+            SplatFormat::Spz => spz::to_bytes(&splats.half_turned(X), self.antialias)?,
+            SplatFormat::Glb => {
+                let notes = json!({ "SplatRenderMode": mode, "offset": offset.to_array() });
+                glb::to_bytes(&splats.half_turned(Z), &notes)
+            }
+        })
     }
 
     fn mode(&self) -> &'static str {
@@ -123,18 +141,12 @@ impl Export<'_> {
         splats.to_file_frame(&SceneFrame { origin, scale: self.frame.scale })
     }
 
-    /// The bytes of a `.ply`. Its header gives the render mode (`comment SplatRenderMode: mip`, or `default`) and, where there is
-    /// one, the offset (`comment offset X Y Z`).
+    /// Writes the offset beside a file, and removes what an earlier file of that name left there.
     ///
-    /// # Panics
-    /// As [`crate::ply::write_with`].
-    pub fn to_bytes(&self, splats: &Splats) -> Vec<u8> {
-        let (offset, mode) = (self.frame.offset(), self.mode());
-        let mut comments = vec![format!("SplatRenderMode: {mode}")];
-        if offset != DVec3::ZERO {
-            comments.push(format!("offset {} {} {}", offset.x, offset.y, offset.z));
-        }
-        to_bytes(&self.in_file_frame(splats), self.extra, &comments)
+    /// # Errors
+    /// When the disk fails.
+    pub fn note_offset(&self, path: &Path) -> Result<(), SceneError> {
+        note(path, self.frame.offset())
     }
 }
 

@@ -116,9 +116,9 @@ export class Run {
     return (await checked(await fetch(`${this.base}/${path}`))).arrayBuffer();
   }
 
-  /** @param {number} id */
-  ply(id) {
-    return `${this.base}/objects/${id}/ply`;
+  /** @param {number} id @param {string} format */
+  file(id, format) {
+    return `${this.base}/objects/${id}/${format}`;
   }
 
   /**

@@ -141,10 +141,13 @@ export class Side {
     const tools = element("div", { className: "row" },
       small(item.visible ? "hide" : "show", () => act("show", { visible: !item.visible })),
       small("alone", () => act("isolate", { id: state?.isolated === item.id ? null : item.id }), { label: "isolate", "aria-pressed": state?.isolated === item.id }));
-    const ply = element("a", { href: app.run.ply(item.id), download: "", title: text("export_ply", item.name) },
-      element("button", { type: "button", tabIndex: -1 }, text("short_ply")));
-    ply.setAttribute("aria-label", text("export_ply", item.name));
-    tools.append(ply);
+    for (const format of selected ? ["ply", "spz", "glb"] : ["ply"]) {
+      const label = text("export_file", item.name, format);
+      const link = element("a", { href: app.run.file(item.id, format), download: "", title: label },
+        element("button", { type: "button", tabIndex: -1 }, `.${format}`));
+      link.setAttribute("aria-label", label);
+      tools.append(link);
+    }
     if (selected) {
       const pair = (/** @type {string} */ how) => {
         const others = (state?.objects ?? []).filter(o => o.id !== item.id);

@@ -4,6 +4,7 @@ use super::state::{LOST, Studio, StudioError, mark};
 use crate::document::ObjectId;
 use segwild_flow::{FileError, Stopper};
 use segwild_pipeline::{ObjectList, Selected};
+use segwild_scene::SplatFormat;
 use std::sync::Arc;
 
 impl Studio {
@@ -13,11 +14,11 @@ impl Studio {
         state.store.get(&selection).ok_or(LOST)
     }
 
-    /// An object as a `.ply`, and the name of its file without the ending. It has its own appearance where it has one, and the scene's otherwise.
+    /// An object as a file, and the file's name. It has its own appearance where it has one, and the scene's otherwise.
     ///
     /// # Errors
     /// When there is no such object, or its splats are lost.
-    pub fn object_ply(&self, id: ObjectId) -> Result<(String, Vec<u8>), StudioError> {
+    pub fn object_file(&self, id: ObjectId, format: SplatFormat) -> Result<(String, Vec<u8>), StudioError> {
         let selected = self.selection_of(id)?;
         let (object, scene) = {
             let state = self.state();
@@ -25,7 +26,8 @@ impl Studio {
             (objects.get(id)?.clone(), objects.appearance.clone())
         };
         let appearance = object.appearance.unwrap_or(scene);
-        Ok((file_stem(&object.name), self.session.object_ply(&selected, &appearance)?))
+        let name = format!("{}.{format}", file_stem(&object.name));
+        Ok((name, self.session.object_file(&selected, &appearance, format)?))
     }
 
     /// The names of the kept objects, and per splat of the scene the number of its object from 1, 0 for none.

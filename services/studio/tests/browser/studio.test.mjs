@@ -111,6 +111,9 @@ test("from an empty page to an exported object, with a kill of the server in the
   assert.equal(download.suggestedFilename(), "the_statue.ply");
   const bytes = readFileSync(await download.path());
   assert.match(bytes.subarray(0, 400).toString("latin1"), new RegExp(`^ply\\n[^]*element vertex ${before[0].splats}\\n`));
+  const [packed] = await Promise.all([page.waitForEvent("download"), page.locator("a[download]").filter({ hasText: ".glb" }).click()]);
+  assert.equal(packed.suggestedFilename(), "the_statue.glb");
+  assert.equal(readFileSync(await packed.path()).subarray(0, 4).toString("latin1"), "glTF");
   await clear(page);
 });
 

@@ -3,7 +3,7 @@
 use crate::common::{answered, click, keep, open, run, trained, until};
 use segwild_flow::Stopper;
 use segwild_pipeline::{PhotoPrompts, segment};
-use segwild_scene::Prompts;
+use segwild_scene::{Prompts, SplatFormat};
 use segwild_studio::messages::{
     FrameRequest, HoverRequest, PickRequest, ShownPrompts, StudioAction, ViewMessage,
 };
@@ -11,7 +11,7 @@ use segwild_studio::{Combination, Region, RegionRule, Studio, StudioError};
 use std::sync::Arc;
 
 fn ply(studio: &Studio, id: u32) -> Vec<u8> {
-    studio.object_ply(id).unwrap().1
+    studio.object_file(id, SplatFormat::Ply).unwrap().1
 }
 
 /// The appearance of a photo, for an object or for the scene.
@@ -93,7 +93,9 @@ fn splats_that_are_lost_are_selected_again() {
     drop(studio);
     std::fs::remove_dir_all(folder.path().join("studio/selections")).unwrap();
     let studio = open(&folder);
-    until(&studio, |message| message.undo == Some("keep object") && studio.object_ply(1).is_ok());
+    until(&studio, |message| {
+        message.undo == Some("keep object") && studio.object_file(1, SplatFormat::Spz).is_ok()
+    });
     assert!(before == ply(&studio, 1));
     assert_eq!(studio.message().objects.len(), 1);
 }

@@ -4,8 +4,8 @@ use crate::seeds::{run, run_for};
 use crate::yard::{folder, put, take};
 use crate::{FuzzTarget, seal};
 use segwild_flow::codec::{self, Decode};
-use segwild_flow::{Cache, Key};
-use segwild_pipeline::{AppearanceRequest, RenderContent, RenderRequest, RunFolder, Selected};
+use segwild_flow::{Cache, Key, Stopper};
+use segwild_pipeline::{RenderRequest, RunFolder, Selected};
 use segwild_scene::{Embedding, MaskSet};
 use segwild_trainer::Checkpoint;
 use std::path::{Path, PathBuf};
@@ -15,16 +15,11 @@ use std::sync::OnceLock;
 fn draw(run: &Path) {
     let request = RenderRequest {
         photos: vec!["photo0.png".into()],
-        frames: None,
-        appearance: AppearanceRequest::default(),
-        object_appearance: None,
-        interpolate: None,
-        selection: None,
-        what: RenderContent::Colour,
         width: Some(16),
         out: Some(run.join("drawn")),
+        ..RenderRequest::default()
     };
-    let _ = segwild_pipeline::render(&RunFolder::at(run), &request);
+    let _ = segwild_pipeline::render(&RunFolder::at(run), &request, &Stopper::new());
 }
 
 macro_rules! run_record {

@@ -3,13 +3,14 @@
 use super::bounds::bounds;
 use super::coco::{CocoAnnotation, CocoCategory, CocoFile, CocoImage, CocoRle};
 use super::list::{ListedObjects, ObjectList, SceneObject};
+use super::npy::to_npy;
 use super::sheet;
 use crate::output::light;
 use crate::settings::AT_ONCE;
-use crate::{RunError, Session};
+use crate::{ExportFormat, RunError, Session};
 use rayon::prelude::*;
 use segwild_flow::{Phase, Stopper, files};
-use segwild_scene::{Export, Mask, SplatFormat};
+use segwild_scene::{Export, Mask};
 use segwild_segmenter::PosedView;
 use segwild_segmenter::scene_tree::{PartMap, SceneParts};
 use serde::Serialize;
@@ -34,23 +35,25 @@ impl ObjectList {
 }
 
 /// Writes all objects of a run's list into the folder `out`, as a whole or not at all: a file of each in `format`, `labels.ply` (the whole scene;
-/// the property `object` is the number, 0 for none), `coco.json` (their masks on all photos, as taken), `objects.json` and
+/// the property `object` is the number, 0 for none), `labels.npy` (the same numbers alone, in its order), `coco.json` (their masks on all photos, as taken), `objects.json` and
 /// `sheet.png`. Colours have the appearance of the photo `appearance`, or the scene's own if it is empty. Spikes are not
 /// cut: [`Session::ask`] refines one object.
 ///
 /// # Errors
-/// When the run has no scene tree, `appearance` is no photo, the folder is not empty, a file cannot be written, or `stopper` stops it.
+/// When the run has no scene tree, `appearance` is no photo, the folder is not empty, the format's program is missing or fails,
+/// a file cannot be written, or `stopper` stops it.
 pub fn export_objects(
     session: &Session,
     listed: &ListedObjects,
     out: &Path,
     appearance: &str,
-    format: SplatFormat,
+    format: ExportFormat,
     stopper: &Stopper,
 ) -> Result<ExportedObjects, RunError> {
     if out.read_dir().is_ok_and(|mut entries| entries.next().is_some()) {
         return Err(RunError::Request(format!("{} is not empty: choose a new folder", out.display())));
     }
+    let writer = format.writer()?;
     let request = session.list_request()?;
     let in_colour = light::shown(request.scene(), request.model, appearance)?;
     let names: Vec<String> = listed.list.objects.iter().map(SceneObject::label).collect();
@@ -65,10 +68,12 @@ pub fn export_objects(
         for object in &listed.list.objects {
             let holds = |i: &usize| usize::from(listed.parts.labels[*i]) == object.number;
             let splats: Vec<usize> = (0..in_colour.len()).filter(holds).collect();
-            export.write(&aside.join(format!("{}.{format}", object.label())), &in_colour.select(&splats))?;
+            let file = aside.join(format!("{}.{format}", object.label()));
+            writer.write(&export, &file, &in_colour.select(&splats), stopper)?;
         }
         let labelled = Export { extra: &[("object", &listed.parts.labels)], ..export };
         labelled.write(&aside.join("labels.ply"), &in_colour)?;
+        files::write_atomic(&aside.join("labels.npy"), &to_npy(&listed.parts.labels))?;
         json("coco.json", serde_json::to_vec(&coco))?;
         json("objects.json", serde_json::to_vec_pretty(&listed.list))?;
         Ok(sheet::sheet(&listed.thumbnails).write_png(&aside.join("sheet.png"))?)

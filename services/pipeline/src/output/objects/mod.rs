@@ -4,6 +4,7 @@ mod bounds;
 mod coco;
 mod export;
 mod list;
+mod npy;
 mod sheet;
 
 pub(crate) use export::coco_masks;

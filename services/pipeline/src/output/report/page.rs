@@ -6,8 +6,9 @@ use super::shown::{SHOWN, pass, spread};
 use crate::artifacts::folder::Loaded;
 use crate::artifacts::history::{self, Moment};
 use crate::artifacts::images::ImageFiles;
+use crate::output::cover::cover;
 use crate::output::evaluate::{HeldOut, HeldOutScore, held_out_render};
-use crate::output::render::{NOTHING, RenderContent, SceneRenderer};
+use crate::output::render::{RenderContent, SceneRenderer};
 use crate::run::choice::AutoChoice;
 use crate::transients::{self, TrainFit};
 use crate::{AppearanceChoice, BudgetChoice, RunError, RunFolder, choose_engine, log_loss};
@@ -201,7 +202,7 @@ fn appearances(loaded: &Loaded, engine: &dyn Rasterizer) -> Result<String, RunEr
         let camera = small(view).scaled_to(48);
         let projected =
             engine.project(&model.splats, &camera, &loaded.scene.views[view].pose, &model.options())?;
-        let alpha = projected.blend(&NOTHING)?.alpha;
+        let alpha = cover(&*projected)?;
         Ok(alpha.data.iter().sum::<f32>() / alpha.pixels() as f32)
     };
     let mut view = (first, 0.0);
