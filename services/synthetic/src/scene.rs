@@ -1,12 +1,15 @@
 //! A whole set in memory, and what is true of positions in it.
 
+use crate::cameras::CameraShot;
 use crate::options::SyntheticOptions;
 use crate::photo::SyntheticPhoto;
 use crate::points::SyntheticPoint;
+use crate::trace::expose;
+use crate::transient::Crowd;
 use crate::world::{Instance, ObjectKind, SyntheticWorld, WorldPart};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
-use segwild_scene::{Mask, SceneFrame};
+use segwild_scene::{Image, Mask, Pose, SceneFrame};
 
 /// A whole set in memory.
 #[derive(Clone, Debug)]
@@ -49,6 +52,19 @@ impl SyntheticScene {
             })
         };
         self.photos.par_iter().map(amodal_mask).collect()
+    }
+
+    /// What each photo would show without an instance and without transients, under the light of the photo, in the order of the
+    /// photos. Where `chosen` is false for a photo's index, `None`.
+    pub fn without(&self, instance: u16, chosen: impl Fn(usize) -> bool) -> Vec<Option<Image>> {
+        let world = self.world.without(instance);
+        let traced = |photo: &SyntheticPhoto| {
+            let units = self.options.units as f32;
+            let pose = Pose { translation: photo.pose.translation / units, ..photo.pose };
+            let shot = CameraShot { camera: photo.camera, pose, eye: pose.centre(), front: photo.front };
+            expose(&world, &shot, &photo.photo_light, &Crowd::default()).photo
+        };
+        self.photos.iter().enumerate().map(|(i, photo)| chosen(i).then(|| traced(photo))).collect()
     }
 
     /// Part of the surface nearest to a position in file units, and the distance to that surface in file units; a

@@ -107,7 +107,17 @@ impl SyntheticWorld {
 
     /// The scene with one instance only, and the ground.
     pub fn alone(&self, instance: u16) -> SyntheticWorld {
-        let is_of = |i: &usize| self.parts[usize::from(self.part_of[*i])].instance == instance;
+        self.with_instances(|other| other == instance)
+    }
+
+    /// The scene without an instance.
+    pub fn without(&self, instance: u16) -> SyntheticWorld {
+        self.with_instances(|other| other != instance)
+    }
+
+    /// The ground, and the instances for which `stays` holds.
+    fn with_instances(&self, stays: impl Fn(u16) -> bool) -> SyntheticWorld {
+        let is_of = |i: &usize| stays(self.parts[usize::from(self.part_of[*i])].instance);
         let keep: Vec<usize> = (0..self.shapes.len()).filter(is_of).collect();
         let mut world = SyntheticWorld {
             shapes: keep.iter().map(|&i| self.shapes[i].clone()).collect(),
