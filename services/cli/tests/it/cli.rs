@@ -11,6 +11,7 @@ fn a_run_leaves_what_other_tools_open() {
     for file in [
         "segwild.toml",
         "scene.json",
+        "cameras.json",
         "scene.ply",
         "model.bin",
         "features.bin",

@@ -3,6 +3,7 @@
 //! ```text
 //! RUN/segwild.toml      the effective settings
 //! RUN/scene.json        where the scene is, its photos, those skipped and why
+//! RUN/cameras.json      the photos' cameras in the space of scene.ply
 //! RUN/run.sqlite        the ledger
 //! RUN/cache/            artefacts by the hash of what they were made from
 //! RUN/poses/            the poses of photos that came without, and COLMAP's database, log and models

@@ -1,6 +1,7 @@
 //! What a run keeps on disk: its folder, the content cache and its keys, checkpoints, timelines.
 
 pub(crate) mod cache;
+pub(crate) mod cameras;
 pub(crate) mod checkpoints;
 pub(crate) mod folder;
 pub(crate) mod history;

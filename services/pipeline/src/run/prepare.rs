@@ -6,6 +6,7 @@ use super::options::RunOptions;
 use super::poses::{self, OpenedScene};
 use super::until::Until;
 use crate::accelerator::leased;
+use crate::artifacts::cameras;
 use crate::artifacts::folder::Intake;
 use crate::artifacts::images::ImageFiles;
 use crate::artifacts::keys::{Digests, End};
@@ -93,6 +94,7 @@ pub fn prepare(
     }
     let mut intake = Intake { posed, ..intake_of(&path, &scene) };
     folder.write_intake(&intake)?;
+    cameras::write(folder, &scene)?;
     events.info(
         Some("ingest"),
         format!(
