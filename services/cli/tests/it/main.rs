@@ -22,6 +22,7 @@ mod operators;
 mod page;
 mod photos;
 mod poses;
+mod python;
 mod received;
 mod resume;
 mod sam_runs;
