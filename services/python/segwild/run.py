@@ -211,7 +211,7 @@ class Run:
         return f"{folder}/{self._images[photo]}"
 
     def transient_mask(self, photo: str) -> NDArray[np.bool_]:
-        """What was left out of a photo as transient, ``[height, width]``, as taken.
+        """What was left out of a photo as transient, ``[height, width]``: the photo as taken, at the size of the training.
 
         Raises:
             KeyError: When the run has no such photo.

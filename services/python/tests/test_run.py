@@ -80,8 +80,11 @@ class RunTest(unittest.TestCase):
         scene, labels = selection.labelled_scene()
         np.testing.assert_array_equal(scene.means[labels], selection.splats().means)
         self.assertEqual(len(scene), len(self.run_folder.splats()))
-        clicks = selection.prompts[0].clicks
-        self.assertTrue(selection.mask(selection.prompts[0].photo, "prompted")[int(clicks[0].y), int(clicks[0].x)])
+        prompted = dict(selection.masks("prompted"))
+        self.assertEqual(list(prompted), [prompts.photo for prompts in selection.prompts])
+        for photo, mask in prompted.items():
+            self.assertEqual(mask.shape, self.run_folder.photo(photo).size[::-1])
+            self.assertTrue(mask.any())
 
     def test_measures_of_masks_are_those_of_the_program(self) -> None:
         name, _ = selected()
@@ -158,7 +161,10 @@ class RunTest(unittest.TestCase):
         seen = int(np.argmax(lengths))
         self.assertAlmostEqual(float(field.similarity(seen)[seen]), 1.0, delta=1e-5)
         trained = next(photo for photo in run.photos if not photo.held_out)
-        self.assertEqual(run.transient_mask(trained.name).shape, trained.size[::-1])
+        # At the size of the training: --size 96.
+        height, width = run.transient_mask(trained.name).shape
+        self.assertEqual(max(height, width), 96)
+        self.assertAlmostEqual(width / height, trained.size[0] / trained.size[1], delta=0.02)
         history = run.history
         self.assertTrue((np.diff(history["step"]) > 0).all())
         self.assertEqual(int(history["splats"][-1]), len(splats))
