@@ -10,8 +10,14 @@ use std::ops::Range;
 const STRIP: usize = 128;
 /// Distance between rows of an unfolded strip. Not a power of two, which would crowd the cache.
 const STRIP_WIDTH: usize = 144;
-/// Planes of the result per task.
+/// Planes of the result per task, where there are few strips; and where there are so many that all cores have work.
 const PLANES: usize = 64;
+const MORE_PLANES: usize = 256;
+const MANY_STRIPS: usize = 64;
+/// Taps that are unfolded and multiplied together: they and their weights stay in the cache.
+const TAPS: usize = 288;
+/// Tasks whose results are held until they are copied into their planes.
+const WAVE: usize = 512;
 /// Weight gradients are summed over at most so many pieces of the pixels, whatever the number of threads.
 const PIECES: usize = 8;
 
@@ -27,17 +33,17 @@ pub struct Conv {
 
 /// How the taps of a kernel find their pixel in the unfolded map.
 #[derive(Clone, Copy)]
-enum TapReach {
+pub(crate) enum TapReach {
     /// At a multiple of the stride.
     Stride(usize),
     /// Fractional stride: pixels of the map lie the stride apart, with zeros in the gaps.
     FractionalStride(usize),
 }
 
-/// Unfolds (im2col) the inputs of the kernel around the pixels `strip` of a result of `width`:
+/// Unfolds (im2col) the inputs of the kernel in some planes around the pixels `strip` of a result of `width`:
 /// `[plane][row][column of the kernel]` rows of [`STRIP_WIDTH`].
 fn unfold(
-    x: &Map,
+    (x, planes): (&Map, Range<usize>),
     kernel: usize,
     border: usize,
     reach: TapReach,
@@ -46,8 +52,7 @@ fn unfold(
     out: &mut [f32],
 ) {
     let (h, w) = (x.height as isize, x.width as isize);
-    for c in 0..x.channels {
-        let plane = x.plane(c);
+    for (c, plane) in planes.map(|c| x.plane(c)).enumerate() {
         for i in 0..kernel {
             for j in 0..kernel {
                 let row = &mut out[((c * kernel + i) * kernel + j) * STRIP_WIDTH..][..strip.len()];
@@ -111,8 +116,9 @@ fn line_of(line: &[f32], reach: TapReach, u: isize, from: usize, part: &mut [f32
     }
 }
 
-/// The product of `weights`, `[output][taps]`, with the unfolded input, plus offsets.
-fn convolve(
+/// The product of `weights`, `[output][taps]`, with the unfolded input, plus offsets. `reach` and the `border` of zeros
+/// above and left of the map say where the taps lie; the result has `height` rows of `width`.
+pub(crate) fn convolve(
     x: &Map,
     (weights, offsets): (&[f32], Option<&[f32]>),
     (output, kernel, border, reach): (usize, usize, usize, TapReach),
@@ -120,36 +126,48 @@ fn convolve(
 ) -> Map {
     let (n, taps) = (height * width, x.channels * kernel * kernel);
     let strips = n.div_ceil(STRIP);
-    let blocks = output.div_ceil(PLANES);
-    let parts: Vec<Vec<f32>> = (0..strips * blocks)
-        .into_par_iter()
-        .map_init(
-            || vec![0.0; taps * STRIP_WIDTH],
-            |unfolded, task| {
-                let (strip, block) = (task / blocks, task % blocks);
-                let strip = strip * STRIP..n.min((strip + 1) * STRIP);
-                let planes = block * PLANES..output.min((block + 1) * PLANES);
-                unfold(x, kernel, border, reach, width, strip.clone(), unfolded);
-                let mut part = vec![0.0; planes.len() * strip.len()];
-                if let Some(offsets) = offsets {
-                    for (row, c) in part.chunks_exact_mut(strip.len()).zip(planes.clone()) {
-                        row.fill(offsets[c]);
-                    }
-                }
-                let left = Strided::of(&weights[planes.start * taps..planes.end * taps], taps);
-                let sizes = [planes.len(), taps, strip.len()];
-                product(left, (unfolded, STRIP_WIDTH), sizes, (&mut part, strip.len()), true);
-                part
-            },
-        )
-        .collect();
+    // Neither changes a number: each is a sum of its own, over all taps in order.
+    let most = if strips < MANY_STRIPS { PLANES } else { MORE_PLANES };
+    let blocks = output.div_ceil(most);
+    let together = (TAPS / (kernel * kernel)).clamp(1, x.channels.max(1));
     let mut out = Map::zeros(output, height, width);
-    for (task, part) in parts.iter().enumerate() {
-        let (strip, block) = (task / blocks, task % blocks);
-        let from = strip * STRIP;
-        let long = n.min(from + STRIP) - from;
-        for (k, row) in part.chunks_exact(long).enumerate() {
-            out.data[(block * PLANES + k) * n + from..][..long].copy_from_slice(row);
+    let tasks = strips * blocks;
+    // A wave at a time: what is not yet in its planes takes little memory.
+    for wave in (0..tasks).step_by(WAVE) {
+        let parts: Vec<Vec<f32>> = (wave..tasks.min(wave + WAVE))
+            .into_par_iter()
+            .map_init(
+                || vec![0.0; together * kernel * kernel * STRIP_WIDTH],
+                |unfolded, task| {
+                    let (strip, block) = (task / blocks, task % blocks);
+                    let strip = strip * STRIP..n.min((strip + 1) * STRIP);
+                    let planes = block * most..output.min((block + 1) * most);
+                    let mut part = vec![0.0; planes.len() * strip.len()];
+                    if let Some(offsets) = offsets {
+                        for (row, c) in part.chunks_exact_mut(strip.len()).zip(planes.clone()) {
+                            row.fill(offsets[c]);
+                        }
+                    }
+                    let weights = &weights[planes.start * taps..planes.end * taps];
+                    for from in (0..x.channels).step_by(together) {
+                        let some = from..x.channels.min(from + together);
+                        let first = from * kernel * kernel;
+                        let sizes = [planes.len(), some.len() * kernel * kernel, strip.len()];
+                        unfold((x, some), kernel, border, reach, width, strip.clone(), unfolded);
+                        let left = Strided::of(&weights[first..], taps);
+                        product(left, (unfolded, STRIP_WIDTH), sizes, (&mut part, strip.len()), true);
+                    }
+                    part
+                },
+            )
+            .collect();
+        for (task, part) in (wave..).zip(&parts) {
+            let (strip, block) = (task / blocks, task % blocks);
+            let from = strip * STRIP;
+            let long = n.min(from + STRIP) - from;
+            for (k, row) in part.chunks_exact(long).enumerate() {
+                out.data[(block * most + k) * n + from..][..long].copy_from_slice(row);
+            }
         }
     }
     out
@@ -258,7 +276,15 @@ impl Conv {
                 for strip in p * piece..strips.min((p + 1) * piece) {
                     let strip = strip * STRIP..n.min((strip + 1) * STRIP);
                     let reach = TapReach::Stride(self.stride);
-                    unfold(x, self.kernel, self.border(), reach, grad.width, strip.clone(), &mut unfolded);
+                    unfold(
+                        (x, 0..x.channels),
+                        self.kernel,
+                        self.border(),
+                        reach,
+                        grad.width,
+                        strip.clone(),
+                        &mut unfolded,
+                    );
                     for c in 0..self.output {
                         for (k, g) in grad.plane(c)[strip.clone()].iter().enumerate() {
                             turned[k * self.output + c] = *g;

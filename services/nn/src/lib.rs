@@ -7,7 +7,8 @@
 //!
 //! Sums run in a fixed order, so that the result is the same whatever the number of threads.
 //!
-//! It is no framework: there are the layers that the appearance models need, and no graph is differentiated for you.
+//! It is no framework: there are the layers that the appearance models and [`Lpips`] need, and no graph is differentiated for
+//! you.
 //!
 //! ```
 //! use segwild_nn::{matmul, solve};
@@ -20,13 +21,14 @@
 //! assert!((x - 1.0).abs() < 1e-12 && (y - 2.0).abs() < 1e-12);
 //! ```
 //!
-//! Start reading at `layer.rs` (a description and its weights), then `mlp.rs`.
+//! Start reading at `layer.rs` (a description and its weights), then `mlp.rs`; `lpips/mod.rs` stands by itself.
 
 mod cholesky;
 mod conv;
 pub mod eigen;
 mod graph;
 mod layer;
+mod lpips;
 mod map;
 mod matmul;
 mod mlp;
@@ -41,6 +43,7 @@ pub use cholesky::solve;
 pub use conv::{Conv, Up};
 pub use graph::{Form, Id, NetworkGraph, Op, OpKind, Tape};
 pub use layer::{Layer, LayerKind, WeightLayout};
+pub use lpips::{Lpips, LpipsError, LpipsNet};
 pub use map::Map;
 pub use matmul::{matmul, transpose};
 pub use mlp::{Activations, Mlp};
