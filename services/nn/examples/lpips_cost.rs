@@ -12,7 +12,8 @@ fn main() {
     };
     let number = |text: &String| text.parse::<usize>().expect("a number");
     let (width, height, rounds) = (number(width), number(height), rounds.first().map_or(3, number));
-    let lpips = Lpips::parse(&std::fs::read(file).expect("the file")).unwrap_or_else(|e| panic!("{file}: {e}"));
+    let lpips =
+        Lpips::parse(&std::fs::read(file).expect("the file")).unwrap_or_else(|e| panic!("{file}: {e}"));
     let image = |mixed: bool| {
         let value = |k: usize| {
             let (c, y, x) = (k / (width * height), k / width % height, k % width);

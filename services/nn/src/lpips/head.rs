@@ -80,7 +80,8 @@ fn row_lengths(
     }
     let along = if wanted {
         // The length changes with the features: d(1 / (s + epsilon)) = - f df / (s (s + epsilon)^2), and not where s is 0.
-        let scaled = |((a, s), inverse): ((&f32, &f32), &f32)| if *s > 0.0 { a * inverse / s.sqrt() } else { 0.0 };
+        let scaled =
+            |((a, s), inverse): ((&f32, &f32), &f32)| if *s > 0.0 { a * inverse / s.sqrt() } else { 0.0 };
         along.iter().zip(&of_render).zip(&by_render).map(scaled).collect()
     } else {
         Vec::new()

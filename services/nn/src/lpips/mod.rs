@@ -9,6 +9,7 @@ mod head;
 mod pooling;
 #[cfg(test)]
 mod tests;
+mod untrained;
 mod weights;
 
 pub use weights::LpipsError;
@@ -109,7 +110,12 @@ impl Lpips {
             table.numbers_that("scaling_layer.scale", &[1, 3, 1, 1], positive, "it must be .001 or more")?;
         let mut heads = Vec::new();
         for (k, form) in net.layers().iter().filter(|form| form.compared).enumerate() {
-            let (key, shape) = (format!("lin{k}.model.1.weight"), [1, form.planes[1], 1, 1]);
+            let (mut key, shape) = (format!("lin{k}.model.1.weight"), [1, form.planes[1], 1, 1]);
+            // The package has two names for the same numbers, and what saves them may keep either.
+            let other = format!("lins.{k}.model.1.weight");
+            if !table.has(&key) && table.has(&other) {
+                key = other;
+            }
             heads.push(table.numbers_that(&key, &shape, |v| v >= 0.0, "a distance has no negative part")?);
         }
         let mut heads = heads.into_iter();

@@ -87,7 +87,8 @@ mod tests {
     #[test]
     fn equal_numbers_and_numbers_that_are_none_have_a_winner() {
         let pool = MaxPool { window: 2, stride: 2 };
-        let of = |data: [f32; 4]| pool.forward(&Map { channels: 1, height: 2, width: 2, data: data.to_vec() });
+        let of =
+            |data: [f32; 4]| pool.forward(&Map { channels: 1, height: 2, width: 2, data: data.to_vec() });
         assert_eq!(of([1.0; 4]).1, [0]);
         let (out, winners) = of([1.0, f32::NAN, 5.0, 2.0]);
         assert!(out.data[0].is_nan() && winners == [1]);

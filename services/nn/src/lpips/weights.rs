@@ -224,7 +224,8 @@ mod tests {
     #[test]
     fn what_is_no_such_file_is_refused_whatever_it_claims() {
         let claim = |length: u64| length.to_le_bytes().to_vec();
-        for bytes in [vec![], vec![1; 7], claim(1), claim(u64::MAX), claim(1 << 20), b"PK\x03\x04torch".to_vec()]
+        for bytes in
+            [vec![], vec![1; 7], claim(1), claim(u64::MAX), claim(1 << 20), b"PK\x03\x04torch".to_vec()]
         {
             assert!(matches!(TensorTable::of(&bytes), Err(LpipsError::Form(_))), "{bytes:?}");
         }
