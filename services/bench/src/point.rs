@@ -354,15 +354,11 @@ fn trained(
     let cpu_s = cpu::process_seconds().zip(cpu_before).map(|(after, before)| after - before);
     let peak = cpu::peak_memory().zip(before).map(|(peak, before)| peak.saturating_sub(before) as f64 / MIB);
     let mut record = job.record("", 0, &[("wall_s", wall), ("splats", splats as f64)]);
-    let more = [
-        ("cpu_s", cpu_s),
-        ("peak_mib", peak),
-        ("psnr", held_out.as_ref().map(|h| f64::from(h.psnr))),
-        ("ssim", held_out.as_ref().map(|h| f64::from(h.ssim))),
-        ("train_psnr", train_fit.map(|fit| f64::from(fit.psnr))),
-    ];
+    let more =
+        [("cpu_s", cpu_s), ("peak_mib", peak), ("train_psnr", train_fit.map(|fit| f64::from(fit.psnr)))];
     let known = more.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?)));
     record.numbers.extend(known);
+    record.numbers.extend(held_out.iter().flat_map(|held| held.numbers()));
     if job.count {
         let loaded = folder.load()?;
         let steps = loaded.model.stats.step + settings.features.refine_steps;

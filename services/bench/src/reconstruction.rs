@@ -102,6 +102,8 @@ fn one(options: &ReconstructionOptions, path: &Path, size: u32, seed: u64) -> Re
         protocol: String::new(),
         psnr: f32::NAN,
         ssim: f32::NAN,
+        lpips: None,
+        lpips_net: None,
         kept_psnr: f32::NAN,
         left_out: f32::NAN,
         photos: Vec::new(),

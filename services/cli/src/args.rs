@@ -185,7 +185,8 @@ fn setting(field: &'static Field, heading: String) -> Arg {
 fn value_name(field: &Field) -> &'static str {
     match field.name {
         "images" | "ignore" | "keep_masks" | "transient_masks" | "split" | "imported_splats"
-        | "imported_frame" | "models" | "transient_network" | "onnxruntime" | "vision_token_file" => "PATH",
+        | "imported_frame" | "models" | "transient_network" | "onnxruntime" | "vision_token_file"
+        | "lpips_weights" => "PATH",
         "vision_service" => "ADDRESS",
         "object_appearance" => "PHOTO",
         _ => field.kind,

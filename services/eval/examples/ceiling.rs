@@ -77,7 +77,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         })
     });
     let test: Vec<usize> = (0..scene.views.len()).filter(|&i| scene.views[i].test).collect();
-    let held_out = evaluate(model, &engine, scene, photos, &test, Protocol::Halves)?;
+    let held_out = evaluate(model, &engine, scene, photos, &test, Protocol::Halves, None)?;
     println!("held out, right halves: PSNR {:.2} SSIM {:.3}", held_out.psnr, held_out.ssim);
     println!(
         "object photos | lifted hard | lifted soft | nearest surface | hard by area <300 <1000 <4000 more | 3D"

@@ -52,6 +52,7 @@ impl Margin {
         Some(match number {
             "psnr" | "train_psnr" => Margin::More(0.1),
             "ssim" => Margin::More(0.005),
+            "lpips_vgg" | "lpips_alex" => Margin::Less(0.005),
             "hidden" => Margin::Less(0.005),
             // On a machine that others use, less is noise.
             "wall_s" | "click_s" => Margin::LessBy(0.2),

@@ -10,6 +10,7 @@ use crate::appearance::{apply_matrix, matrix_backward};
 use crate::background::{BackgroundSums, ColourSums, SkySums, add_background, paint};
 use crate::photometric;
 use crate::transients::{self, Residuals, VisibilityMap, leave_out, relative};
+use segwild_nn::{Lpips, Map};
 use segwild_raster::Frame;
 use segwild_scene::{Camera, Image, Pose, box_mean};
 
@@ -50,10 +51,19 @@ pub struct LossInputs<'a> {
     pub sky_weight: f32,
 }
 
+/// The perceptual term of the loss, which the host computes: no engine has it on its device.
+#[derive(Clone, Copy, Debug)]
+pub struct PerceptualLoss<'a> {
+    /// The distance.
+    pub lpips: &'a Lpips,
+    /// Its weight in the loss.
+    pub weight: f32,
+}
+
 /// Output of a comparison.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LossOutput {
-    /// [`photometric`].
+    /// [`photometric`], and the perceptual term where there is one.
     pub loss: f32,
     /// Of the pixels that count and are not left out, in dB; 0 where there are none.
     pub psnr: f32,
@@ -86,7 +96,7 @@ pub struct Compared {
 }
 
 /// Computes the losses of a frame against a photo, and their gradients. A visibility map takes part where
-/// [`LeaveOut::Residual`] is set.
+/// [`LeaveOut::Residual`] is set. The perceptual term adds its weight times LPIPS, where the image is large enough for it.
 ///
 /// # Panics
 /// If frame and target differ in size.
@@ -95,6 +105,7 @@ pub fn compare(
     target: &PhotoTarget,
     loss_inputs: &LossInputs,
     seeing: Option<&VisibilityMap>,
+    perceptual: Option<&PerceptualLoss>,
 ) -> Compared {
     let Composed { background, scene, shown, residual } = compose(frame, target, loss_inputs);
     let photo = target.image();
@@ -122,7 +133,10 @@ pub fn compare(
     };
     let (weights, left_out) = pixel_weights(target, kept.as_deref());
     let psnr = weighted_psnr(&shown, &photo, &weights.data);
-    let (loss, grad) = photometric(&shown, &photo, Some(&weights), loss_inputs.lambda_ssim);
+    let (mut loss, mut grad) = photometric(&shown, &photo, Some(&weights), loss_inputs.lambda_ssim);
+    if let Some(perceptual) = perceptual {
+        loss += add_perceptual(perceptual, &shown, &photo, &weights.data, &mut grad);
+    }
     let (image, matrix) = match &loss_inputs.matrix {
         Some(matrix) => {
             let (image, sums) = matrix_backward(matrix, &scene, &grad);
@@ -147,6 +161,32 @@ pub fn compare(
         weights,
         blame,
     }
+}
+
+/// Adds the gradient of the perceptual term and returns the term.
+///
+/// Where a pixel does not count the photo shows something else than the scene: there it is taken for the render, and teaches
+/// nothing. The paper compares whole images; its transients would come back by this term.
+fn add_perceptual(
+    PerceptualLoss { lpips, weight }: &PerceptualLoss,
+    shown: &Image,
+    photo: &Image,
+    weights: &[f32],
+    grad: &mut Image,
+) -> f32 {
+    let (height, width) = (shown.height, shown.width);
+    let map = |data: Vec<f32>| Map { channels: 3, height, width, data };
+    let of_pixels = weights.iter().cycle();
+    // One number that is none would be in the features of all pixels around it.
+    let finite = |(r, p): (&f32, &f32)| if r.is_finite() { *r } else { *p };
+    let shown: Image = Image { data: shown.data.iter().zip(&photo.data).map(finite).collect(), ..*shown };
+    let known = photo.data.iter().zip(&shown.data).zip(of_pixels.clone());
+    let known = known.map(|((p, r), w)| if *w == 1.0 { *p } else { w * p + (1.0 - w) * r }).collect();
+    let Some((distance, by_render)) = lpips.gradient(&map(shown.data), &map(known)) else { return 0.0 };
+    for ((sum, g), w) in grad.data.iter_mut().zip(&by_render.data).zip(of_pixels) {
+        *sum += weight * w * g;
+    }
+    weight * distance as f32
 }
 
 /// A frame over its background, in the colours of its photo.
@@ -264,6 +304,7 @@ mod tests {
     use super::*;
     use crate::background::BASES;
     use glam::Vec3;
+    use segwild_nn::LpipsNet;
     use segwild_scene::Random;
 
     const W: usize = 13;
@@ -305,7 +346,7 @@ mod tests {
 
     /// The loss with the sky's term.
     fn loss(frame: &Frame, target: &PhotoTarget, loss_inputs: &LossInputs) -> f64 {
-        let output = compare(frame, target, loss_inputs, None).output;
+        let output = compare(frame, target, loss_inputs, None, None).output;
         let sky =
             |i: usize| if target.is(i, PhotoTarget::INNER) { -(1.0 - frame.alpha.data[i]).ln() } else { 0.0 };
         let sky: f64 = (0..W * H).map(|i| f64::from(sky(i))).sum();
@@ -316,7 +357,7 @@ mod tests {
     fn gradients_are_finite_differences_of_the_loss() {
         let (frame, target, camera, pose, background) = example();
         let loss_inputs = loss_inputs(&camera, &pose, &background);
-        let Compared { output, image, alpha, .. } = compare(&frame, &target, &loss_inputs, None);
+        let Compared { output, image, alpha, .. } = compare(&frame, &target, &loss_inputs, None, None);
         let step = 4e-3f32;
         let close = |what: &str, got: f32, up: f64, down: f64| {
             let wanted = (up - down) / f64::from(2.0 * step);
@@ -352,13 +393,86 @@ mod tests {
         }
     }
 
+    /// A larger example, for AlexNet needs 31 pixels either way: its last row does not count, its first is left out.
+    fn larger_example() -> (Frame, PhotoTarget, Camera, Pose) {
+        let random = &mut Random::new(9);
+        let (w, h) = (37, 33);
+        let camera = Camera { width: w as u32, height: h as u32, fx: 40.0, fy: 40.0, cx: 18.0, cy: 16.0 };
+        let pose = Pose::look_at(Vec3::NEG_Z, Vec3::ZERO, Vec3::NEG_Y);
+        let flags = |i: usize| match i / w {
+            0 => PhotoTarget::COUNTS | PhotoTarget::INITIAL_TRANSIENT,
+            y if y + 1 == h => 0,
+            _ => PhotoTarget::COUNTS,
+        };
+        let pixel = |i: usize| [0, 1, 2, 3].map(|c| if c < 3 { random.below(256) as u8 } else { flags(i) });
+        let pixels = (0..w * h).map(pixel).collect();
+        let target = PhotoTarget { width: w, height: h, pixels, ..PhotoTarget::default() };
+        let random = &mut Random::new(10);
+        let data = (0..3 * w * h).map(|_| 0.1 + 0.8 * random.uniform()).collect();
+        let frame = Frame {
+            image: Image { width: w, height: h, channels: 3, data },
+            alpha: Image::filled(w, h, 1, 1.0),
+        };
+        (frame, target, camera, pose)
+    }
+
+    #[test]
+    fn the_perceptual_term_adds_its_slope_and_pixels_that_do_not_count_stay_without_gradient() {
+        let (frame, target, camera, pose) = larger_example();
+        let background = [[0.2; 3]];
+        let loss_inputs = LossInputs {
+            matrix: None,
+            has_sky: false,
+            leave_out: LeaveOut::InitialTransients,
+            ..loss_inputs(&camera, &pose, &background)
+        };
+        let lpips = Lpips::parse(&LpipsNet::Alex.untrained()).unwrap();
+        let perceptual = PerceptualLoss { lpips: &lpips, weight: 50.0 };
+        let of = |frame: &Frame, perceptual| compare(frame, &target, &loss_inputs, None, perceptual);
+        let (without, with) = (of(&frame, None), of(&frame, Some(&perceptual)));
+        let n = frame.image.pixels();
+        let moves = |i: usize| i % n / frame.image.width > 0 && i % n / frame.image.width + 1 < 33;
+        let added: Vec<f32> = with.image.data.iter().zip(&without.image.data).map(|(a, b)| a - b).collect();
+        assert!((0..3 * n).all(|i| moves(i) || with.image.data[i] == 0.0), "a pixel left out has a gradient");
+        assert!(with.output.loss > without.output.loss + 1.0);
+        // Along a direction in the pixels that count; those left out are taken as they are rendered.
+        let direction = |i: usize| if moves(i) { ((i * 7919) % 101) as f32 / 50.0 - 1.0 } else { 0.0 };
+        let moved = |by: f32| {
+            let mut frame = frame.clone();
+            frame.image.data.iter_mut().enumerate().for_each(|(i, v)| *v += by * direction(i));
+            let loss = |perceptual| f64::from(of(&frame, perceptual).output.loss);
+            loss(Some(&perceptual)) - loss(None)
+        };
+        let step = 1e-3;
+        let slope = (moved(step) - moved(-step)) / f64::from(2.0 * step);
+        let along: f64 = added.iter().enumerate().map(|(i, g)| f64::from(g * direction(i))).sum();
+        let size: f64 = added.iter().map(|g| f64::from(g * g)).sum::<f64>().sqrt();
+        assert!((slope - along).abs() < 0.03 * size, "{slope}, not {along}; of {size}");
+        // A number that is none spoils nothing beyond the window of SSIM.
+        let mut poisoned = frame.clone();
+        poisoned.image.data[5 * 37 + 9] = f32::NAN;
+        let added = of(&poisoned, Some(&perceptual)).image;
+        let far = 25 * 37 + 9;
+        assert!(added.data[n + far].is_finite() && added.data[2 * n - 40].is_finite());
+    }
+
+    #[test]
+    fn an_image_that_is_too_small_has_no_perceptual_term() {
+        let (frame, target, camera, pose, background) = example();
+        let loss_inputs = loss_inputs(&camera, &pose, &background);
+        let lpips = Lpips::parse(&LpipsNet::Alex.untrained()).unwrap();
+        let perceptual = PerceptualLoss { lpips: &lpips, weight: 50.0 };
+        let of = |perceptual| compare(&frame, &target, &loss_inputs, None, perceptual);
+        assert_eq!(of(None), of(Some(&perceptual)));
+    }
+
     #[test]
     fn a_pixel_that_does_not_count_teaches_nothing() {
         let (mut frame, mut target, camera, pose, background) = example();
         let loss_inputs = LossInputs { sky_weight: 0.0, ..loss_inputs(&camera, &pose, &background) };
         target.pixels.iter_mut().for_each(|p| p[3] = 0);
         frame.image.data[7] = 1e30;
-        let Compared { output, image, alpha, error, .. } = compare(&frame, &target, &loss_inputs, None);
+        let Compared { output, image, alpha, error, .. } = compare(&frame, &target, &loss_inputs, None, None);
         assert_eq!((output.psnr, output.left_out), (0.0, 0.0));
         assert!(image.data.iter().chain(&alpha.data).chain(&error.data).all(|v| *v == 0.0));
     }

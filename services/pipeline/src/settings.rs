@@ -81,6 +81,9 @@ settings! {
         /// official protocol of unconstrained photos; `plain` scores whole photos. `auto` is `plain` for the appearance
         /// model `none` only.
         scoring: Scoring = Scoring::Auto,
+        /// Weights of LPIPS, the perceptual distance, as `.safetensors` (docs/guide/research.md). Held-out photos are scored by it
+        /// too, and the loss may have it (`lambda_lpips`). Empty: none.
+        lpips_weights: String = String::new(),
         /// Seconds between checkpoints of the training; an interrupted run loses no more than this.
         checkpoint_every: u32 = 30 => 1..,
         /// Most MiB of memory that the run may take; 0 sets no limit. The same holds for an accelerator's own memory.
@@ -294,7 +297,7 @@ impl Settings {
     /// The same settings with the paths that exist from here made absolute, so that they hold from anywhere.
     pub fn anchored(&self) -> Settings {
         let mut settings = self.clone();
-        let Settings { scene, vision, .. } = &mut settings;
+        let Settings { run, scene, vision, .. } = &mut settings;
         let SceneSettings {
             images,
             ignore,
@@ -317,6 +320,7 @@ impl Settings {
             &mut vision.transient_network,
             &mut vision.onnxruntime,
             &mut vision.vision_token_file,
+            &mut run.lpips_weights,
         ] {
             if !path.is_empty()
                 && Path::new(&*path).exists()

@@ -193,7 +193,7 @@ pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<KernelCh
     let loss_inputs = test_case.loss_inputs();
     let TestCase { frame, target, .. } = test_case;
     let seeing = test_case.map.as_ref().map(|map| VisibilityMap { map, decides: true });
-    let wanted = host::compare(frame, target, &loss_inputs, seeing.as_ref());
+    let wanted = host::compare(frame, target, &loss_inputs, seeing.as_ref(), None);
     let got: ComparedOnDevice =
         LossPasses::upload(engine, frame, target, &loss_inputs, test_case.map.as_ref())?
             .results(&loss_inputs)?;

@@ -89,7 +89,7 @@ fn main() -> Result<(), ReaderError> {
     let model = trainer.snapshot()?;
     let held_out: Vec<usize> = (0..scene.views.len()).filter(|&i| scene.views[i].test).collect();
     let protocol = if fits { Protocol::Halves } else { Protocol::Plain };
-    let score = evaluate(&model, engine.as_ref(), &scene, photos.clone(), &held_out, protocol)?;
+    let score = evaluate(&model, engine.as_ref(), &scene, photos.clone(), &held_out, protocol, None)?;
     for view in &score.views {
         println!("held out {}: {:.2} dB, SSIM {:.3}", view.name, view.psnr, view.ssim);
     }

@@ -3,6 +3,7 @@
 use crate::imported::{self, ImportedModel};
 use crate::{Checkpoint, Model, Photos, TrainError, TrainSettings, Trainer};
 use segwild_flow::{Actor, ActorFailure, Context, Message, Quarantined, Sender, fault};
+use segwild_nn::Lpips;
 use segwild_objective::Engine;
 use segwild_scene::{ImportedSplats, Scene, Skipped};
 use std::sync::Arc;
@@ -23,6 +24,8 @@ pub struct TrainOrder {
     pub photos: Arc<dyn Photos>,
     /// How to train.
     pub settings: TrainSettings,
+    /// The perceptual distance, for a loss that has it.
+    pub lpips: Option<Arc<Lpips>>,
     /// The step to stop after: fewer than `settings.steps` leaves the training to be continued, more goes on past
     /// the end of the schedules at their last rates.
     pub until: u32,
@@ -150,6 +153,7 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
             e => ActorFailure::fatal(e),
         })?;
         trainer.hold_photos(order.settings.photo_cache_mib);
+        trainer.set_lpips(order.lpips.clone());
         for warning in trainer.warnings() {
             context.events().warn(Some("geometry"), warning.clone());
         }

@@ -6,6 +6,7 @@ use crate::light::directions;
 use crate::model::{Model, compose};
 use crate::photos::{PhotoLevel, Photos, Stored, TrainPhotoCache};
 use crate::posed::posed_view;
+use segwild_nn::{Lpips, Map};
 use segwild_objective::background::{Background, LEAST_SEEN, PRIOR_OF_HALF, SkySums};
 use segwild_objective::compare::mean_difference;
 use segwild_objective::transients::contradicted;
@@ -35,6 +36,8 @@ pub struct ViewScore {
     pub psnr: f32,
     /// Structural similarity, 11-tap Gaussian window.
     pub ssim: f32,
+    /// LPIPS, where its weights are given and what is scored is large enough for it; less is better.
+    pub lpips: Option<f32>,
     /// PSNR in dB without the pixels that contradict the scene, as far as the photo may show transients.
     pub kept_psnr: f32,
     /// Share of the scored pixels that contradict it so.
@@ -50,11 +53,13 @@ pub struct Evaluation {
     pub psnr: f32,
     /// Mean SSIM; 0 for no photo.
     pub ssim: f32,
+    /// Mean LPIPS over the photos that have one.
+    pub lpips: Option<f32>,
     /// The renders scored, in the same order; the whole frame also where half of it is scored.
     pub renders: Vec<Image>,
 }
 
-/// Scores a model on some views.
+/// Scores a model on some views; by LPIPS too, where its weights are given.
 pub fn evaluate(
     model: &Model,
     engine: &dyn Rasterizer,
@@ -62,10 +67,11 @@ pub fn evaluate(
     photos: Arc<dyn Photos>,
     views: &[usize],
     protocol: Protocol,
+    lpips: Option<&Lpips>,
 ) -> Result<Evaluation, TrainError> {
     let names = scene.views.iter().map(|v| v.name.clone()).collect();
     let mut cache = TrainPhotoCache::new(photos, names, 0);
-    let mut out = Evaluation { views: Vec::new(), psnr: 0.0, ssim: 0.0, renders: Vec::new() };
+    let mut out = Evaluation { views: Vec::new(), psnr: 0.0, ssim: 0.0, lpips: None, renders: Vec::new() };
     for &view in views {
         let stored = cache.get(view)?;
         let photo = &stored.levels[0];
@@ -80,6 +86,7 @@ pub fn evaluate(
         let from = if protocol == Protocol::Halves { w / 2 } else { 0 };
         let scored = |i: usize| i % w >= from;
         let (psnr, ssim) = score(&render, photo, scored);
+        let lpips = lpips.and_then(|lpips| perceptual_score(lpips, &render, photo, from));
         let posed = posed_view(scene, view);
         let residual = posed.untrusted_residual(&mean_difference(&render, &photo.image()), photo);
         let share = model.transient_shares[view];
@@ -93,13 +100,28 @@ pub fn evaluate(
         };
         let left_out = count(&|i| against[i]) / count(&|_| true).max(1.0);
         let name = scene.views[view].name.clone();
-        out.views.push(ViewScore { view, name, psnr, ssim, kept_psnr, left_out });
+        out.views.push(ViewScore { view, name, psnr, ssim, lpips, kept_psnr, left_out });
         out.renders.push(render);
     }
     let n = out.views.len().max(1) as f32;
     out.psnr = out.views.iter().map(|v| v.psnr).sum::<f32>() / n;
     out.ssim = out.views.iter().map(|v| v.ssim).sum::<f32>() / n;
+    let known: Vec<f32> = out.views.iter().filter_map(|v| v.lpips).collect();
+    out.lpips = (!known.is_empty()).then(|| known.iter().sum::<f32>() / known.len() as f32);
     Ok(out)
+}
+
+/// LPIPS of a render, cut to the columns `from` on. Where a pixel of the photo is not valid the photo is taken for the render.
+fn perceptual_score(lpips: &Lpips, render: &Image, photo: &PhotoLevel, from: usize) -> Option<f32> {
+    let target = photo.image();
+    let (width, height) = (photo.width - from, photo.height);
+    let cut = |value: &dyn Fn(usize) -> f32| {
+        let rows = (0..3 * height).flat_map(|row| (from..photo.width).map(move |x| row * photo.width + x));
+        Map { channels: 3, height, width, data: rows.map(value).collect() }
+    };
+    let known = |k: usize| if photo.valid(k % photo.pixels()) { target.data[k] } else { render.data[k] };
+    let distance = lpips.distance(&cut(&|k| render.data[k]), &cut(&known))?;
+    Some(distance as f32)
 }
 
 /// PSNR in dB and SSIM of a render, over the photo's valid pixels `within`.

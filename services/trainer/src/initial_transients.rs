@@ -113,6 +113,8 @@ pub(crate) fn initial_transients(
         } else {
             AppearanceModel::Affine
         },
+        // What contradicts a training is seen without it.
+        lambda_lpips: 0.0,
         ..settings.clone()
     };
     for part in 0..parts {

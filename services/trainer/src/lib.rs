@@ -103,6 +103,7 @@ pub use evaluate::{Evaluation, Protocol, ViewScore, evaluate};
 pub use light::{SceneLight, SceneLighting, render_lit};
 pub use model::{Model, Stats, render_view};
 pub use photos::{Photos, Sifted, TrainPhoto};
+pub use segwild_nn::{Lpips, LpipsError, LpipsNet};
 pub use segwild_objective::GswWidth;
 pub use segwild_objective::background::Background;
 pub use settings::{AppearanceModel, DensityKind, Preset, TrainSettings};

@@ -19,9 +19,9 @@ impl Trainer {
     }
 
     /// Uploads the splats to the device, and the appearance model's networks with them, unless the strategy works on
-    /// single splats at every step.
+    /// single splats at every step, or LPIPS is in the loss, which the host computes from the render.
     pub(crate) fn upload(&mut self) -> Result<(), TrainError> {
-        if self.is_on_device() || !self.may_upload {
+        if self.is_on_device() || !self.may_upload || self.settings.lambda_lpips > 0.0 {
             return Ok(());
         }
         let Some(stats) = self.state.strategy.as_dyn().stats() else { return Ok(()) };

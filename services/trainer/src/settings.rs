@@ -103,6 +103,9 @@ segwild_scene::settings! {
         /// Weight of 1 - SSIM in the loss; the rest is L1. The paper's 0.2 is for photos of one light: SSIM cares less for
         /// what a photo's light and camera change.
         lambda_ssim: f32 = 0.5 => 0.0..=1.0,
+        /// Weight of LPIPS, the perceptual distance, in the loss; the paper has 0.005. It needs `lpips_weights`, is computed on the
+        /// CPU and takes most of a step's time. 0: without it.
+        lambda_lpips: f32 = 0.0 => 0.0..=10.0,
         /// Weight of the loss that keeps the sky empty.
         sky_weight: f32 = 0.5 => 0.0..=100.0,
         /// Share of the steps trained on photos at reduced size.

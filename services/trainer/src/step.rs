@@ -10,7 +10,7 @@ use crate::photometric::StepPhoto;
 use crate::pixels::{at_centres, first_background};
 use crate::state::mean_quality;
 use crate::trainer::{StepReport, Trainer};
-use segwild_objective::compare::{self, Compared, LeaveOut, LossOutput, mean_difference};
+use segwild_objective::compare::{self, Compared, LeaveOut, LossOutput, PerceptualLoss, mean_difference};
 use segwild_objective::transients::VisibilityMap;
 use segwild_objective::{AnyAppearance, AppearanceMaps, transients};
 use segwild_raster::{Channels, FrameGrad};
@@ -19,6 +19,10 @@ use segwild_scene::{Image, Splats};
 impl Trainer {
     /// One optimiser step on one photo.
     pub fn step(&mut self) -> Result<StepReport, TrainError> {
+        if self.settings.lambda_lpips > 0.0 && self.lpips.is_none() {
+            let why = "`lambda_lpips` is above 0, and the training was given no weights of LPIPS";
+            return Err(TrainError::Setting(why.into()));
+        }
         let (view, stored) = self.next_photo()?;
         let step = self.state.step;
         let wanted = self.schedule.level(step);
@@ -79,6 +83,8 @@ impl Trainer {
         let step = self.state.step;
         let rates = self.rates(step);
         let (settings, schedule, posed) = (&self.settings, &self.schedule, &self.views[view]);
+        let lpips = self.lpips.as_deref().filter(|_| settings.lambda_lpips > 0.0);
+        let perceptual = lpips.map(|lpips| PerceptualLoss { lpips, weight: settings.lambda_lpips });
         let (params, strategy, mut side) = self.state.halves(view);
         let projected = self.engine.project(&params.splats, camera, pose, &options(settings.antialias))?;
         let RenderedView { light, colours, channels, frame } =
@@ -89,7 +95,7 @@ impl Trainer {
         // The network of `gsw` predicts the visible pixels, and gets a gradient for that.
         let map = light.as_ref().and_then(AppearanceMaps::visible);
         let seeing = map.as_ref().map(|map| VisibilityMap { map, decides: schedule.visible(step) });
-        let compared = compare::compare(&frame, &target, &loss_inputs, seeing.as_ref());
+        let compared = compare::compare(&frame, &target, &loss_inputs, seeing.as_ref(), perceptual.as_ref());
         let Compared { output, image, alpha, error, blame, .. } = compared;
         side.apply(step_photo, &output);
         let channels = Channels { count: 3, values: &channels };

@@ -12,6 +12,7 @@ use crate::schedule::Schedule;
 use crate::splat_budget::SplatBudget;
 use crate::state::TrainState;
 use crate::{TrainError, TrainSettings};
+use segwild_nn::Lpips;
 use segwild_objective::transients::ResidualHistograms;
 use segwild_objective::{Engine, Resident};
 use segwild_scene::{Camera, Mask, Point, Random, Scene, Skipped};
@@ -59,6 +60,8 @@ pub struct Trainer {
     pub(crate) resident: Option<Box<dyn Resident>>,
     /// Whether they may be uploaded.
     pub(crate) may_upload: bool,
+    /// The perceptual distance, if its weights were given.
+    pub(crate) lpips: Option<Arc<Lpips>>,
     /// Points of the stereo initialisation.
     pub(crate) stereo_count: usize,
     /// Mean share of the photos that is transient, by the search before the training.
@@ -166,6 +169,7 @@ impl Trainer {
             id: TRAINERS.fetch_add(1, Ordering::Relaxed),
             resident: None,
             may_upload: true,
+            lpips: None,
             stereo_count: 0,
             initial_transient_share: None,
         }
@@ -174,6 +178,12 @@ impl Trainer {
     /// Holds so many MiB of decoded photos from now on. What is trained does not depend on it.
     pub fn hold_photos(&mut self, mib: usize) {
         self.photos.limit_to(mib << 20);
+    }
+
+    /// Gives the weights of LPIPS, which the loss has where [`TrainSettings::lambda_lpips`] is above 0. No checkpoint holds
+    /// them.
+    pub fn set_lpips(&mut self, lpips: Option<Arc<Lpips>>) {
+        self.lpips = lpips;
     }
 
     /// The settings of this run.

@@ -361,6 +361,8 @@ const COLUMNS: &[(&str, &str)] = &[
     ("boundary_iou", "Boundary IoU"),
     ("psnr", "held-out PSNR"),
     ("ssim", "SSIM"),
+    ("lpips_vgg", "LPIPS (vgg)"),
+    ("lpips_alex", "LPIPS (alex)"),
     ("cpu_s", "CPU s"),
     ("wall_s", "wall s"),
     ("peak_mib", "MiB"),

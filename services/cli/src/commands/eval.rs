@@ -73,10 +73,18 @@ fn held_out(folder: &RunFolder, json: bool) -> Result<(), Failure> {
     if json {
         return print_json(&held);
     }
+    let named = held.named_lpips();
+    // A column where there are weights of LPIPS, none where there are not.
+    let lpips = |score: Option<f32>| match (&named, score) {
+        (Some((name, _)), Some(score)) => format!("  {name} {score:.3}"),
+        (Some((name, _)), None) => format!("  {name}     -"),
+        (None, _) => String::new(),
+    };
     for p in &held.photos {
-        print_line(&format!("{:6.2} dB  SSIM {:.3}  {}", p.psnr, p.ssim, p.photo))?;
+        print_line(&format!("{:6.2} dB  SSIM {:.3}{}  {}", p.psnr, p.ssim, lpips(p.lpips), p.photo))?;
     }
-    print_line(&format!("{:6.2} dB  SSIM {:.3}  mean ({})", held.psnr, held.ssim, held.protocol))?;
+    let mean = lpips(held.lpips);
+    print_line(&format!("{:6.2} dB  SSIM {:.3}{mean}  mean ({})", held.psnr, held.ssim, held.protocol))?;
     if held.left_out > 0.0 {
         let share = 100.0 * held.left_out;
         print_line(&format!(

@@ -14,7 +14,7 @@ const NOTHING: &[&str] = &[];
 
 /// Every setting of the groups `train`, `masks` and `features`: another value, and the stages that depend on it where
 /// the others have their defaults.
-const TABLE: [(&str, &str, &[&str]); 53] = [
+const TABLE: [(&str, &str, &[&str]); 54] = [
     ("steps", "61", GEOMETRY),
     // The run says how many steps: nothing is left to the scene.
     ("effort", "2", &[]),
@@ -40,6 +40,7 @@ const TABLE: [(&str, &str, &[&str]); 53] = [
     ("lr_net", "0.5", NOTHING),
     ("gsw_width", "paper", NOTHING),
     ("lambda_ssim", "0.4", GEOMETRY),
+    ("lambda_lpips", "0.005", GEOMETRY),
     ("sky_weight", "0.4", GEOMETRY),
     ("coarse", "0.4", GEOMETRY),
     ("antialias", "false", GEOMETRY),

@@ -141,7 +141,8 @@ pub fn lego(
                 let Some(held) = trial.held_out(&settings)? else { continue };
                 let psnr = f64::from(held.psnr);
                 let gap = best.entry(row.name).or_insert(psnr).to_owned() - psnr;
-                let numbers = [("psnr", psnr), ("ssim", f64::from(held.ssim)), ("gap_db", gap)];
+                let mut numbers: BTreeMap<String, f64> = held.numbers().into_iter().collect();
+                numbers.insert("gap_db".into(), gap);
                 let record = Record {
                     protocol: "lego".into(),
                     scene: format!("seed {seed}"),
@@ -149,7 +150,7 @@ pub fn lego(
                     provider: trial.providers(&settings)?.name,
                     target: perturbation.name().into(),
                     seed,
-                    numbers: numbers.map(|(name, value)| (name.to_owned(), value)).into(),
+                    numbers,
                     notes: vec![held.protocol],
                     ..Record::default()
                 };

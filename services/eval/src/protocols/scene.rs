@@ -159,9 +159,8 @@ pub fn measure(
             ..Record::default()
         };
         if let Some(held) = summary.held_out.clone() {
-            let numbers = [("psnr", held.psnr), ("ssim", held.ssim)];
-            let numbers = numbers.map(|(name, value)| (name.to_owned(), f64::from(value)));
-            let record = Record { notes: vec![held.protocol], ..record("", 0, BTreeMap::from(numbers)) };
+            let numbers = held.numbers().into_iter().collect();
+            let record = Record { notes: vec![held.protocol], ..record("", 0, numbers) };
             keep(results, record, out, report)?;
         }
         for query in &eval_scene.queries {

@@ -242,7 +242,17 @@ pub fn paper_ablation(results: &Results) -> String {
 
 /// PSNR and SSIM of held-out photos, per scene and row, with what others publish for the scene.
 pub fn held_out(results: &Results) -> String {
-    let mut text = String::from("| scene | row | provider | PSNR | SSIM |\n|---|---|---|---:|---:|\n");
+    // LPIPS has a column where it was measured, one per network.
+    let has = |name: &str| results.records.iter().any(|r| r.numbers.contains_key(name));
+    let lpips: Vec<(&str, &str)> = [("lpips_vgg", "LPIPS (vgg)"), ("lpips_alex", "LPIPS (alex)")]
+        .into_iter()
+        .filter(|(name, _)| has(name))
+        .collect();
+    let mut text = String::from("| scene | row | provider | PSNR | SSIM |");
+    lpips.iter().for_each(|(_, words)| text += &format!(" {words} |"));
+    text += "\n|---|---|---|---:|---:|";
+    text += &"---:|".repeat(lpips.len());
+    text.push('\n');
     let mut seen = BTreeSet::new();
     for r in results.records.iter().filter(|r| r.numbers.contains_key("psnr")) {
         let key = (r.scene.as_str(), row_of(r), r.target.as_str());
@@ -251,7 +261,7 @@ pub fn held_out(results: &Results) -> String {
         }
         let fits = |o: &Record| (o.scene.as_str(), row_of(o), o.target.as_str()) == key;
         let (psnr, ssim) = (over_seeds(results, "psnr", fits), over_seeds(results, "ssim", fits));
-        let _ = writeln!(
+        let _ = write!(
             text,
             "| {} | {} | {} | {} | {} |",
             r.scene,
@@ -260,10 +270,16 @@ pub fn held_out(results: &Results) -> String {
             cell(psnr, 2),
             cell(ssim, 3)
         );
+        for (name, _) in &lpips {
+            let _ = write!(text, " {} |", cell(over_seeds(results, name, fits), 3));
+        }
+        text.push('\n');
     }
     for scene in PAPER.scenes.iter().filter(|s| seen.iter().any(|k| k.0 == s.name)) {
         for (name, [psnr, ssim]) in &scene.published {
-            let _ = writeln!(text, "| {} | {name}, published | – | {psnr:.2} | {ssim:.3} |", scene.name);
+            let _ = write!(text, "| {} | {name}, published | – | {psnr:.2} | {ssim:.3} |", scene.name);
+            text += &" – |".repeat(lpips.len());
+            text.push('\n');
         }
     }
     text

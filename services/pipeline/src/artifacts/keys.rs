@@ -3,6 +3,7 @@
 //! Same key, same bytes. A key hashes everything that the artefact depends on, so that a changed setting recomputes
 //! exactly what depends on it.
 
+use super::lpips::LpipsFile;
 use super::scene_tree::tree_key;
 use crate::output::evaluate::protocol_of;
 use crate::run::memory::{self, TooLargePhoto};
@@ -82,8 +83,8 @@ const LIST_FORMAT: u32 = 1;
 /// only together with another setting.
 fn without_effect(settings: &Settings) -> Vec<&'static str> {
     let (train, features) = (&settings.train, &settings.features);
-    // The snapshot's own key holds its step.
-    let mut names = vec!["photo_cache_mib", "feature_memory", "snapshot_at"];
+    // The snapshot's own key holds its step, and that of the training the perceptual term of the loss.
+    let mut names = vec!["photo_cache_mib", "feature_memory", "snapshot_at", "lambda_lpips"];
     let no_embeddings = !matches!(train.appearance_model, AppearanceModel::Embed | AppearanceModel::Gsw);
     let idle = [
         ("lr_splat_embedding", no_embeddings),
@@ -146,6 +147,8 @@ pub struct Digests {
     photos: Vec<Result<String, Arc<PhotoRefusal>>>,
     /// The hash of imported splats.
     imported: Option<String>,
+    /// The weights of LPIPS, if there are any.
+    pub lpips: Option<LpipsFile>,
     /// Warnings about photos that can be used.
     pub odd: Vec<String>,
 }
@@ -154,13 +157,14 @@ impl Digests {
     /// Reads and decodes every photo once.
     ///
     /// # Errors
-    /// [`RunError::Interrupted`] when `stopping` returns true: many large photos take a while. When imported splats cannot be
-    /// read.
+    /// [`RunError::Interrupted`] when `stopping` returns true: many large photos take a while. When imported splats or the
+    /// weights of LPIPS cannot be read.
     pub fn read(
         scene: &Scene,
         settings: &Settings,
         stopping: &(dyn Fn() -> bool + Sync),
     ) -> Result<Digests, RunError> {
+        let lpips = LpipsFile::of(settings)?;
         let limit = memory::decoding_limit(settings, scene);
         let examine = |view: &View| -> Result<(String, Option<String>), PhotoRefusal> {
             memory::fits_budget(settings, view, limit)?;
@@ -182,7 +186,7 @@ impl Digests {
             }
         }
         let imported = scene.imported.as_ref().map(ImportedSplats::digest).transpose()?;
-        Ok(Digests { photos, imported, odd })
+        Ok(Digests { photos, imported, lpips, odd })
     }
 
     /// Leaves out the photos whose corrected transient mask cannot be used.
@@ -211,7 +215,7 @@ impl Keys {
     /// The keys of everything that a run with these settings makes.
     pub fn of(
         scene: &Scene,
-        Digests { photos: digests, imported, .. }: Digests,
+        Digests { photos: digests, imported, lpips, .. }: Digests,
         settings: &Settings,
         providers: &Providers,
         corrections: &Corrections,
@@ -264,6 +268,13 @@ impl Keys {
         }
         let choice = choice.finish();
         let mut training = Key::of("geometry").key("choice", &choice);
+        let lpips = lpips.as_ref().map(|file| file.digest.as_str());
+        // No part without this term of the loss, so that keys of such runs stay as they were. What is chosen before the training
+        // is chosen without it.
+        if settings.train.lambda_lpips > 0.0 && imported.is_none() {
+            let weights = lpips.unwrap_or("none");
+            training = training.part("lpips", format!("{} {weights}", settings.train.lambda_lpips));
+        }
         for (i, view) in scene.views.iter().enumerate() {
             // No part where nothing is known, so that keys of runs without corrections stay as they were.
             match corrections.digest(i).filter(|_| !view.test) {
@@ -346,9 +357,14 @@ impl Keys {
             masks_in_field: settings.features.compactness,
             snapshot_step: settings.train.snapshot_step(),
             history: history_of(&geometry.to_string()),
-            evaluation: Key::of("evaluate")
-                .key("geometry", &geometry)
-                .part("protocol", format!("{:?}", protocol_of(settings)))
+            evaluation: lpips
+                .iter()
+                .fold(
+                    Key::of("evaluate")
+                        .key("geometry", &geometry)
+                        .part("protocol", format!("{:?}", protocol_of(settings))),
+                    |key, digest| key.part("lpips", digest),
+                )
                 .finish(),
             segmenter: providers.segmenter.key(),
         }

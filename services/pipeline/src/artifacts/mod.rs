@@ -8,6 +8,7 @@ pub(crate) mod history;
 pub(crate) mod images;
 pub(crate) mod intact;
 pub(crate) mod keys;
+pub(crate) mod lpips;
 pub(crate) mod recompute;
 pub(crate) mod region_cache;
 pub(crate) mod scene_tree;

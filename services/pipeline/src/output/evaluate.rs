@@ -7,7 +7,7 @@ use crate::{RunError, RunFolder, Scoring, Selected, Settings};
 use segwild_flow::{ActorFailure, fault};
 use segwild_raster::Rasterizer;
 use segwild_scene::{Mask, MaskFiles, PhotoStore, ReaderError};
-use segwild_trainer::{AppearanceModel, Model, Photos, Protocol, TrainPhoto, ViewScore, evaluate};
+use segwild_trainer::{AppearanceModel, Lpips, Model, Photos, Protocol, TrainPhoto, ViewScore, evaluate};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -22,6 +22,12 @@ pub struct HeldOut {
     pub psnr: f32,
     /// Mean SSIM.
     pub ssim: f32,
+    /// Mean LPIPS of the photos that have one; `None` without weights of it. Less is better.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lpips: Option<f32>,
+    /// The network of LPIPS: `vgg` or `alex`. Scores of one do not compare with those of the other.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lpips_net: Option<String>,
     /// Mean PSNR in dB without the pixels that contradict the scene.
     pub kept_psnr: f32,
     /// Mean share of the pixels that do.
@@ -39,6 +45,9 @@ pub struct HeldOutScore {
     pub psnr: f32,
     /// SSIM.
     pub ssim: f32,
+    /// LPIPS; `None` without weights of it, and where too little of the photo is scored.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lpips: Option<f32>,
     /// PSNR in dB without the pixels that contradict the scene.
     pub kept_psnr: f32,
     /// Share of the pixels that do.
@@ -49,12 +58,32 @@ impl HeldOut {
     /// The mean scores in words.
     pub fn in_words(&self) -> String {
         let mut words = format!("{:.2} dB, SSIM {:.3}", self.psnr, self.ssim);
+        if let Some((name, lpips)) = self.named_lpips() {
+            words += &format!(", {name} {lpips:.3}");
+        }
         if self.left_out > 0.0 {
             let share = 100.0 * self.left_out;
             words +=
                 &format!("; {:.2} dB without the {share:.1} % that contradict the scene", self.kept_psnr);
         }
         words
+    }
+}
+
+impl HeldOut {
+    /// The mean LPIPS with its name and that of its network, as `LPIPS (vgg)`.
+    pub fn named_lpips(&self) -> Option<(String, f32)> {
+        let net = self.lpips_net.as_deref().unwrap_or("unknown network");
+        self.lpips.map(|lpips| (format!("LPIPS ({net})"), lpips))
+    }
+
+    /// The mean scores by their names in records: `psnr`, `ssim`, and `lpips_vgg` or `lpips_alex` where there is one.
+    pub fn numbers(&self) -> Vec<(String, f64)> {
+        let mut numbers = vec![("psnr".to_owned(), self.psnr.into()), ("ssim".to_owned(), self.ssim.into())];
+        if let (Some(net), Some(lpips)) = (&self.lpips_net, self.lpips) {
+            numbers.push((format!("lpips_{net}"), lpips.into()));
+        }
+        numbers
     }
 }
 
@@ -125,6 +154,7 @@ pub(crate) fn held_out(
     model: &Model,
     engine: &dyn Rasterizer,
     settings: &Settings,
+    lpips: Option<&Lpips>,
     usable: impl Fn(usize) -> bool,
     sky: impl Fn(usize) -> Result<Option<Mask>, ActorFailure> + Send + Sync + 'static,
     mut record: impl FnMut(usize, Result<f64, ActorFailure>) -> Result<(), RunError>,
@@ -154,14 +184,14 @@ pub(crate) fn held_out(
     let files = ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()));
     let renders = folder.path().join(RENDERS);
     let score = |view: usize| -> Result<_, ActorFailure> {
-        let scored = evaluate(model, engine, scene, photos.clone(), &[view], protocol)?;
+        let scored = evaluate(model, engine, scene, photos.clone(), &[view], protocol, lpips)?;
         let file = renders.join(files.name(view));
         file.parent().map_or(Ok(()), std::fs::create_dir_all)?;
         scored.renders[0].write_png(&file)?;
         fault::point("evaluate.photo")?;
         let of = |v: ViewScore| {
-            let ViewScore { name: photo, psnr, ssim, kept_psnr, left_out, .. } = v;
-            HeldOutScore { photo, psnr, ssim, kept_psnr, left_out }
+            let ViewScore { name: photo, psnr, ssim, lpips, kept_psnr, left_out, .. } = v;
+            HeldOutScore { photo, psnr, ssim, lpips, kept_psnr, left_out }
         };
         Ok(scored.views.into_iter().map(of))
     };
@@ -185,10 +215,13 @@ pub(crate) fn held_out(
     }
     let mean =
         |pick: fn(&HeldOutScore) -> f32| scores.iter().map(pick).sum::<f32>() / scores.len().max(1) as f32;
+    let known: Vec<f32> = scores.iter().filter_map(|s| s.lpips).collect();
     let held = HeldOut {
         protocol: words.into(),
         psnr: mean(|s| s.psnr),
         ssim: mean(|s| s.ssim),
+        lpips: (!known.is_empty()).then(|| known.iter().sum::<f32>() / known.len() as f32),
+        lpips_net: lpips.filter(|_| !known.is_empty()).map(|lpips| lpips.net().to_string()),
         kept_psnr: mean(|s| s.kept_psnr),
         left_out: mean(|s| s.left_out),
         photos: scores,

@@ -20,7 +20,7 @@ use segwild_flow::{ActorFailure, Cache, Event, Key, Ledger, Phase, Quarantined, 
 use segwild_masks::MaskMaker;
 use segwild_objective::Engine;
 use segwild_scene::{PhotoStore, Scene, Skipped};
-use segwild_trainer::Model;
+use segwild_trainer::{Lpips, Model};
 use segwild_vision::{Embedder, PromptSegmenter};
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
@@ -56,6 +56,8 @@ pub struct RunContext<'a> {
     pub skies: Arc<Skies>,
     /// What is known of transients before anything is trained.
     pub known: KnownTransients,
+    /// The perceptual distance, where its weights are given.
+    pub lpips: Option<Arc<Lpips>>,
     pub segmenter: Arc<dyn PromptSegmenter>,
     pub embedder: Arc<dyn Embedder>,
     pub maker: Arc<MaskMaker>,

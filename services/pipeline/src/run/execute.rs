@@ -145,6 +145,7 @@ fn context<'a>(
         steps: plan.steps,
         skies: Arc::new(Skies::new(recompute, photos, keys.sky.clone(), providers.sky.clone())),
         known: plan.known.clone(),
+        lpips: prepared.digests.lpips.as_ref().map(|file| file.lpips.clone()),
         segmenter: providers.segmenter.clone(),
         embedder: providers.embedder.clone(),
         maker: Arc::new(maker),

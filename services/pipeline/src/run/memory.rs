@@ -7,7 +7,7 @@
 use crate::{RunError, Settings};
 use segwild_objective::{EmbedAppearance, GswAppearance};
 use segwild_scene::{Scene, View};
-use segwild_trainer::{AppearanceModel, TrainSettings, splat_cap, stereo_bytes};
+use segwild_trainer::{AppearanceModel, LpipsNet, TrainSettings, splat_cap, stereo_bytes};
 use std::fmt;
 use std::path::Path;
 
@@ -35,6 +35,8 @@ const PER_FURTHER_PHOTO: f64 = 85.0;
 /// Bytes per pixel at the training size that decoding a photo of about that size takes. [`PER_PIXEL`] and
 /// [`PER_FURTHER_PHOTO`] include them.
 const DECODED: u64 = 8;
+/// Bytes from which on a file of LPIPS weights is VGG-16's: they take 29 MB as 16-bit numbers, AlexNet's 10 MB as F32.
+const OF_VGG: u64 = 20 << 20;
 /// Least MiB that each of the caches is given.
 const LEAST_CACHE: usize = 8;
 /// MiB of the process per MiB in a cache: the allocator's blocks are larger than their content, and not every freed
@@ -199,6 +201,7 @@ fn with_one_photo(settings: &Settings, scene: &Scene) -> f64 {
         + pixels(settings, scene) as f64 * 4.0 * PER_PIXEL
         + samples
         + appearance
+        + lpips_memory(settings, pixels(settings, scene)) as f64
         + scene.views.len() as f64 * PER_PHOTO
         + observations as f64 * PER_OBSERVATION;
     BASE + bytes / MIB
@@ -217,6 +220,17 @@ fn appearance_memory(train: &TrainSettings, photos: usize) -> (f64, f64) {
             (GswAppearance::EMBEDDING_SIZE as f64, photos + networks)
         }
     }
+}
+
+/// Bytes of LPIPS, where its weights are given: it scores held-out photos, and may be in the loss.
+fn lpips_memory(settings: &Settings, pixels: usize) -> usize {
+    if settings.run.lpips_weights.is_empty() {
+        return 0;
+    }
+    // The file is read later, and refused if it holds no weights.
+    let length = std::fs::metadata(&settings.run.lpips_weights).map_or(0, |data| data.len());
+    let net = if length < OF_VGG { LpipsNet::Alex } else { LpipsNet::Vgg };
+    net.bytes(pixels, settings.train.lambda_lpips > 0.0)
 }
 
 /// Refuses a training that takes more of an accelerator's memory than the budget allows.

@@ -10,6 +10,7 @@ use crate::artifacts::cameras;
 use crate::artifacts::folder::Intake;
 use crate::artifacts::images::ImageFiles;
 use crate::artifacts::keys::{Digests, End};
+use crate::artifacts::lpips::LpipsFile;
 use crate::artifacts::region_cache::InCache;
 use crate::code;
 use crate::engine::{ChosenEngine, choose_engine};
@@ -86,6 +87,7 @@ pub fn prepare(
         .fit(&folder.path().join(authorship::FOLDER))?;
     folder.belongs_to(&path, &scene)?;
     fits_import(&scene, settings, options.until)?;
+    LpipsFile::needed(settings)?;
     // Written only now: a setting that the scene refuses must not come back with the next run.
     folder.write("segwild.toml", settings.to_toml().as_bytes())?;
     record_settings(&ledger, settings, options.until)?;
@@ -211,6 +213,10 @@ fn engine_of(settings: &Settings, scene: &Scene, options: &RunOptions) -> Result
         memory::fits_accelerator(settings, scene)?;
     }
     options.events.info(None, format!("splats are computed by {why}"));
+    if engine.name() == "gpu" && settings.train.lambda_lpips > 0.0 {
+        let words = "LPIPS is computed on the CPU: with --lambda-lpips each step's render is read back, and the splats learn there";
+        options.events.warn(None, words);
+    }
     Ok(engine)
 }
 

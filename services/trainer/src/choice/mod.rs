@@ -113,6 +113,8 @@ impl<'a> Trials<'a> {
     fn fit(&mut self, settings: TrainSettings) -> Result<(), TrainError> {
         let (appearance, steps) = (settings.appearance_model, settings.steps);
         let share = settings.robust.then_some(settings.robust_share);
+        // Models and steps are compared by PSNR and SSIM: the short trainings go without the dear term of the loss.
+        let settings = TrainSettings { lambda_lpips: 0.0, ..settings };
         let mut trainer = Trainer::new(self.engine.clone(), &self.scene, self.photos.clone(), settings)?;
         while !trainer.is_done() {
             if (self.stopping)() {

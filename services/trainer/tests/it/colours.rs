@@ -16,7 +16,7 @@ fn points_without_colour_train_as_well_as_coloured_ones() {
     let photos = photos(&coloured, false, |_, _| ());
     let score = |scene: &Scene| {
         let model = train(scene, photos.clone(), settings(150));
-        evaluate(&model, &*engine(), scene, photos.clone(), &[7], Protocol::Plain).unwrap().psnr
+        evaluate(&model, &*engine(), scene, photos.clone(), &[7], Protocol::Plain, None).unwrap().psnr
     };
     let right = score(&coloured);
     for (name, colour) in [("black", DARKEST), ("white", 1.0), ("grey", 0.5)] {

@@ -6,6 +6,7 @@ mod colours;
 mod cut_outs;
 mod exports;
 mod lights;
+mod perceptual;
 mod stereo_points;
 mod training;
 mod transients;

@@ -17,7 +17,8 @@ fn every_strategy_learns_a_view_it_never_saw_within_its_cap() {
         let model = train(&scene, photos.clone(), TrainSettings { density, splats: 600, ..settings(400) });
         assert_sane(&model, 600);
         assert!(model.splats.len() > 350, "{density} never grew: {}", model.splats.len());
-        let score = evaluate(&model, &*engine(), &scene, photos.clone(), &[7], Protocol::Plain).unwrap();
+        let score =
+            evaluate(&model, &*engine(), &scene, photos.clone(), &[7], Protocol::Plain, None).unwrap();
         assert!(score.psnr > 24.0 && score.ssim > 0.75, "{density}: {} dB, SSIM {}", score.psnr, score.ssim);
     }
 }
@@ -99,7 +100,7 @@ fn poor_scenes_train_sanely() {
             TrainSettings { robust: true, appearance_model: AppearanceModel::Affine, ..settings(200) },
         );
         assert_sane(&model, 1500);
-        let score = evaluate(&model, &*engine(), scene, photos, &[0], Protocol::Plain).unwrap();
+        let score = evaluate(&model, &*engine(), scene, photos, &[0], Protocol::Plain, None).unwrap();
         assert!(
             score.psnr > wanted,
             "{} points, {} views: {} dB",
@@ -173,7 +174,7 @@ fn light_that_varies_over_the_scene_is_learnt_by_embed_and_gsw_and_not_by_affine
     let score = |appearance: AppearanceModel| {
         let model =
             train(&scene, photos.clone(), TrainSettings { appearance_model: appearance, ..settings(300) });
-        evaluate(&model, &*engine(), &scene, photos.clone(), &[11], Protocol::Halves).unwrap().psnr
+        evaluate(&model, &*engine(), &scene, photos.clone(), &[11], Protocol::Halves, None).unwrap().psnr
     };
     let (affine, embed, gsw) =
         (score(AppearanceModel::Affine), score(AppearanceModel::Embed), score(AppearanceModel::Gsw));
@@ -219,7 +220,7 @@ fn appearances_are_learnt_and_the_left_half_gives_that_of_the_right() {
         train(&scene, tinted.clone(), TrainSettings { appearance_model: appearance, ..settings(400) })
     };
     let score = |model: &Model, protocol| {
-        evaluate(model, &*engine(), &scene, tinted.clone(), &[7], protocol).unwrap()
+        evaluate(model, &*engine(), &scene, tinted.clone(), &[7], protocol, None).unwrap()
     };
     let affine = of(AppearanceModel::Affine);
     let (halves, plain) = (score(&affine, Protocol::Halves), score(&affine, Protocol::Plain));

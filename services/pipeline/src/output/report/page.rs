@@ -122,6 +122,14 @@ fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
         };
         rows.extend(held.photos.iter().map(|p| row(&p.photo, p.psnr, p.ssim, p.kept_psnr, p.left_out)));
         rows.push(row("mean", held.psnr, held.ssim, held.kept_psnr, held.left_out));
+        // A column of its own, where there are weights of it.
+        if let Some((name, mean)) = held.named_lpips() {
+            let cell = |lpips: Option<f32>| lpips.map_or("-".to_owned(), |lpips| format!("{lpips:.3}"));
+            let scores = held.photos.iter().map(|p| cell(p.lpips)).chain([cell(Some(mean))]);
+            for (row, score) in rows.iter_mut().zip([name].into_iter().chain(scores)) {
+                row.insert(3, score);
+            }
+        }
         text.push_str(&html::table(&rows));
         for score in held.photos.iter().take(loaded.settings.run.report_photos as usize) {
             text.push_str(&held_out_beside_render(folder, loaded, score));

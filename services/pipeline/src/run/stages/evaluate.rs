@@ -6,8 +6,8 @@ use crate::run::after::AfterActors;
 use crate::run::need::{Extent, Need};
 use crate::run::node::{Performer, StageNode, StageWork};
 use crate::run::stage::Stage;
-use segwild_flow::Event;
 use segwild_flow::ledger::ViewOutcome;
+use segwild_flow::{ActorFailure, Event};
 use std::collections::BTreeSet;
 
 /// The stage in the graph.
@@ -42,7 +42,7 @@ fn evaluate(after: &mut AfterActors<'_, '_>) -> Result<(), RunError> {
     let mut unscored = BTreeSet::new();
     let scored = traces.step(report, name, || {
         let usable = |view: usize| run.keys.unreadable(view).is_none();
-        held_out(run.folder, &run.photos, &model, &*run.engine, run.settings, usable, sky, |view, scored| {
+        let record = |view: usize, scored: Result<f64, ActorFailure>| {
             let photo = &run.scene.views[view].name;
             let outcome = match scored {
                 Ok(seconds) => ViewOutcome::done(seconds),
@@ -54,7 +54,9 @@ fn evaluate(after: &mut AfterActors<'_, '_>) -> Result<(), RunError> {
                 }
             };
             Ok(run.ledger.record_view(name, photo, &key, &outcome)?)
-        })
+        };
+        let (engine, lpips) = (&*run.engine, run.lpips.as_deref());
+        held_out(run.folder, &run.photos, &model, engine, run.settings, lpips, usable, sky, record)
     });
     if let Some(lost) = run.skies.lost() {
         return Err(RunError::of_stage(Stage::Sky.name(), &lost));

@@ -109,6 +109,7 @@ impl ActorStage for GeometryStage {
             scene: run.scene.clone(),
             photos: photos(run),
             settings: run.settings.train.clone(),
+            lpips: run.lpips.clone(),
             until,
             checkpoint,
             checkpoint_every: Duration::from_secs(run.settings.run.checkpoint_every.max(1).into()),
