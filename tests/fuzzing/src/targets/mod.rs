@@ -49,6 +49,7 @@ pub const TARGETS: &[FuzzTarget] = &[
     many::FARM_RECORD,
     many::FARM_FOLDER,
     networks::ONNX,
+    networks::LPIPS,
     server::REQUEST,
     vision::CALL,
 ];

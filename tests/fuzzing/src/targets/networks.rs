@@ -2,6 +2,7 @@
 
 use crate::yard::{folder, put};
 use crate::{FuzzTarget, seal};
+use segwild_trainer::{Lpips, LpipsNet};
 
 fn varint(mut value: u64) -> Vec<u8> {
     let mut out = Vec::new();
@@ -62,5 +63,42 @@ pub(super) const ONNX: FuzzTarget = FuzzTarget {
         put(&folder.join("weights.bin"), &[0; 16]);
         let found = segwild_vision::models_in(&folder).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(found.len(), 1);
+    },
+};
+
+/// The head of a file of weights with its first numbers: a whole file is too long to be changed often. What is missing is
+/// refused at its tensor, after those before it are read.
+fn head_of_weights(net: LpipsNet, kept: usize) -> Vec<u8> {
+    let mut bytes = net.untrained();
+    let header = u64::from_le_bytes(bytes[..8].try_into().expect("eight bytes")) as usize;
+    bytes.truncate(8 + header + kept);
+    bytes
+}
+
+pub(super) const LPIPS: FuzzTarget = FuzzTarget {
+    name: "lpips_safetensors",
+    seeds: || {
+        vec![head_of_weights(LpipsNet::Alex, 110_000), head_of_weights(LpipsNet::Vgg, 20_000), {
+            let mut small = head_of_weights(LpipsNet::Alex, 0);
+            small.extend([0; 64]);
+            small
+        }]
+    },
+    words: &[
+        "F32",
+        "F16",
+        "BF16",
+        "data_offsets",
+        "[1,3,1,1]",
+        "lins.0.model.1.weight",
+        "net.slice5.28.weight",
+        "__metadata__",
+        "18446744073709551615",
+        "-1",
+        "[[[[",
+    ],
+    seal: seal::nothing,
+    read: |bytes| {
+        let _ = Lpips::parse(bytes);
     },
 };
