@@ -54,7 +54,7 @@ pub fn positions(id: &'static str, form: &'static str, help: &'static str) -> Ar
 }
 
 /// Which appearance, for the scene and for the selection.
-pub fn appearances(default: &str) -> [Arg; 5] {
+pub fn appearances(default: &str) -> [Arg; 6] {
     let appearance = |id: &'static str, help: String| {
         Arg::new(id).long(id).value_name("PHOTO").action(ArgAction::Append).help(help)
     };
@@ -72,6 +72,7 @@ pub fn appearances(default: &str) -> [Arg; 5] {
             "object-appearance",
             "Give the selected object another appearance, in the same way".into(),
         ),
+        path("appearance-from", "Use the appearance of a photo that is not in the scene: a file"),
         strength("strength", "Strength of the appearance: 0 is the scene's own, 1 the photo's, at most 2"),
         strength("object-strength", "The same for the object's appearance"),
         Arg::new("interpolate")

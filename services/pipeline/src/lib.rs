@@ -58,9 +58,10 @@ pub(crate) use engine::log_loss;
 pub use engine::{ChosenEngine, choose_engine};
 pub use error::RunError;
 pub use import::render_views;
+pub use output::bake::{BakeRequest, Baked, ScenePart, bake};
 pub use output::camera_path::CameraPath;
 pub use output::evaluate::{HeldOut, HeldOutScore, Score, SelectionMaskScore, held_out_render, score};
-pub use output::light::{AppearanceRequest, BakeRequest, Baked, BlendedAppearance, OWN, ScenePart, bake};
+pub use output::light::{AppearanceRequest, BlendedAppearance, OWN};
 pub use output::objects::{
     ExportedObjects, ListedObjects, ObjectList, SceneObject, export_objects, list_objects,
 };

@@ -82,7 +82,7 @@ pub use image::{Image, write_rgba};
 pub use import::{ImportedSplats, ReadSplats, SplatFile, SplatLayout, SplatWriter, UpAxis};
 pub use mask::{Mask, MaskSet, ScoredMask};
 pub use mask_files::{MaskFileError, MaskFiles};
-pub use photo::LoadedPhoto;
+pub use photo::{LoadedPhoto, load_photo};
 pub use photo_store::PhotoStore;
 pub use posed::PosedPhotos;
 pub use prompt::{BoxPrompt, PointPrompt, Prompts};

@@ -32,6 +32,33 @@ impl LoadedPhoto {
     }
 }
 
+/// Most pixels of a photo that belongs to no scene.
+const MOST_PIXELS: u64 = 1 << 28;
+
+/// Decodes a photo that belongs to no scene: turned by its EXIF orientation, scaled down so that its long side is at most `long_side`.
+/// sRGB in [0, 1].
+///
+/// # Errors
+/// When the file cannot be read, is no photo, or is damaged.
+pub fn load_photo(path: &Path, long_side: u32) -> Result<Image, SceneError> {
+    let load = || -> Result<Image, DecodeError> {
+        let head = ImageHead::read(path, MOST_PIXELS)?;
+        head.check_end(path)?;
+        let orientation = if head.turned_since { Orientation::NoTransforms } else { head.orientation };
+        let swaps = swaps_sides(orientation);
+        let (width, height) = if swaps { (head.height, head.width) } else { (head.width, head.height) };
+        let whole = Camera { width, height, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
+        let (width, height) = whole.size_for(long_side.max(1));
+        let stored = if swaps { (height, width) } else { (width, height) };
+        head.decode_and(path, stored, |mut decoded| {
+            decoded.turn(orientation);
+            shrink(decoded, width, height)
+        })
+    };
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    load().map_err(|e| SceneError::Photo { name, path: path.to_owned(), reason: e.into() })
+}
+
 impl View {
     /// Decodes the photo, undistorted and scaled down so that its long side is at most `long_side` (never
     /// enlarged).

@@ -67,6 +67,7 @@ mod colours;
 mod density;
 mod error;
 mod evaluate;
+mod foreign_light;
 mod imported;
 mod initial;
 mod initial_transients;
@@ -100,6 +101,7 @@ pub use choice::{
 pub use density::DensityChange;
 pub use error::TrainError;
 pub use evaluate::{Evaluation, Protocol, ViewScore, evaluate};
+pub use foreign_light::ForeignLight;
 pub use light::{SceneLight, SceneLighting, render_lit};
 pub use model::{Model, Stats, render_view};
 pub use photos::{Photos, Sifted, TrainPhoto};

@@ -17,6 +17,11 @@ pub struct SceneLight {
 }
 
 impl SceneLight {
+    /// A light of an appearance embedding, and of a background in its own colours.
+    pub(crate) fn new(appearance_embedding: AppearanceEmbedding, background: Background) -> SceneLight {
+        SceneLight { appearance_embedding, background }
+    }
+
     /// The light a share `t` of the way to another: 0 is this one, 1 the other, and past 1 it goes on beyond it.
     pub fn towards(&self, other: &SceneLight, t: f32) -> SceneLight {
         SceneLight {

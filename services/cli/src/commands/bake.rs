@@ -41,7 +41,7 @@ pub fn bake(matches: &ArgMatches) -> Result<(), Failure> {
         _ => ScenePart::Scene,
     };
     let request = BakeRequest {
-        appearance: appearance(matches, "appearance", "strength"),
+        appearance: appearance(matches),
         object_appearance,
         interpolate: matches.get_one::<f32>("interpolate").copied(),
         selection,

@@ -92,7 +92,7 @@ pub fn render(matches: &ArgMatches) -> Result<(), Failure> {
         path,
         frames: matches.get_one::<u32>("frames").copied(),
         rate: matches.get_one::<u32>("fps").copied().unwrap_or(FRAMES_PER_SECOND),
-        appearance: appearance(matches, "appearance", "strength"),
+        appearance: appearance(matches),
         object_appearance,
         interpolate: matches.get_one::<f32>("interpolate").copied(),
         selection: word("selection").map(|name| (name, mode)),
@@ -120,16 +120,22 @@ fn unseen(share: Option<f32>) -> String {
     }
 }
 
-/// The appearances that a flag names.
-pub fn appearance(matches: &ArgMatches, flag: &str, strength: &str) -> AppearanceRequest {
+/// The appearances of the scene that flags name.
+pub fn appearance(matches: &ArgMatches) -> AppearanceRequest {
+    let file = path_of(matches, "appearance-from");
+    AppearanceRequest { file, ..named(matches, "appearance", "strength") }
+}
+
+fn named(matches: &ArgMatches, flag: &str, strength: &str) -> AppearanceRequest {
     AppearanceRequest {
         photos: matches.get_many::<String>(flag).into_iter().flatten().cloned().collect(),
         strength: matches.get_one::<f32>(strength).copied().unwrap_or(1.0),
+        file: None,
     }
 }
 
 /// The appearances of the selected object, if it has its own.
 pub fn object_appearance(matches: &ArgMatches) -> Option<AppearanceRequest> {
-    Some(appearance(matches, "object-appearance", "object-strength"))
+    Some(named(matches, "object-appearance", "object-strength"))
         .filter(|appearance| !appearance.photos.is_empty())
 }

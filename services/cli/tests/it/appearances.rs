@@ -226,3 +226,43 @@ fn splats_are_written_in_the_format_that_the_ending_names() {
     refuses(&["bake", &run, "--out", &other], 2, &["a.obj", ".ply, .spz, .glb"]);
     assert!(!dir.path().join("a.obj").exists());
 }
+
+#[test]
+fn a_photo_that_is_not_in_the_scene_gives_it_its_appearance() {
+    let (scene, run) = (scene(), show(&shared_run().run));
+    let dir = folder();
+    let out = dir.path().join("renders");
+    let photos: Vec<&str> =
+        shared_run().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();
+    // The channel means tell lights that are colour matrices apart.
+    let means = |flags: &[&str]| {
+        let image = draw(&run, &out, &[&["--photo", photos[0]], flags].concat()).remove(0);
+        [0, 1, 2].map(|c| image.plane(c).iter().sum::<f32>() / image.pixels() as f32)
+    };
+    let apart = |a: [f32; 3], b: [f32; 3]| (0..3).map(|c| (a[c] - b[c]).abs()).sum::<f32>();
+    let own = means(&["--appearance", "none"]);
+    let (mut fitted_off, mut own_off) = (0.0, 0.0);
+    for (k, photo) in photos.iter().enumerate() {
+        // A file of the caller's own, which the run does not know.
+        let file = dir.path().join(format!("holiday-{k}.png"));
+        std::fs::copy(scene.join("images").join(photo), &file).expect("it is copied");
+        let trained = means(&["--appearance", photo]);
+        fitted_off += apart(means(&["--appearance-from", &show(&file)]), trained);
+        own_off += apart(own, trained);
+    }
+    assert!(fitted_off < 0.5 * own_off, "{fitted_off} off those trained, the scene's own {own_off}");
+    let file = show(&dir.path().join("holiday-1.png"));
+    let weak = means(&["--appearance-from", &file, "--strength", "0"]);
+    assert!(apart(weak, own) < 0.01, "no strength is the scene's own appearance");
+    let baked = dir.path().join("holiday.ply");
+    works(&["bake", &run, "--appearance-from", &file, "--out", &show(&baked)]);
+    assert_ne!(
+        ply::read(&baked).expect("it opens").sh,
+        ply::read(&shared_run().run.join("scene.ply")).expect("it opens").sh
+    );
+    let render = ["render", &run, "--photo", photos[0]];
+    refuses(&[&render[..], &["--appearance-from", "nowhere.jpg"]].concat(), 3, &["nowhere.jpg"]);
+    let text = dir.path().join("text.jpg");
+    std::fs::write(&text, "no photo").expect("it is written");
+    refuses(&[&render[..], &["--appearance-from", &show(&text)]].concat(), 3, &["text.jpg"]);
+}

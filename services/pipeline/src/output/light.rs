@@ -1,10 +1,8 @@
 //! Requested appearances: a photo's, interpolated between photos, stronger or weaker, for the scene and for one object.
 
-use crate::output::without::SceneWithout;
-use crate::{ExportFormat, RunError, RunFolder, Selected, choose_engine, log_loss};
-use segwild_flow::Stopper;
+use crate::RunError;
 use segwild_scene::{Export, Scene, Splats};
-use segwild_trainer::{Model, SceneLight, SceneLighting};
+use segwild_trainer::{Model, SceneLight};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -16,13 +14,15 @@ pub const OWN: &str = "none";
 pub struct AppearanceRequest {
     /// Names of the photos whose appearances they are; `none` is the scene's own.
     pub photos: Vec<String>,
+    /// A photo that is not in the scene, whose appearance follows theirs.
+    pub file: Option<PathBuf>,
     /// 0 is the scene's own appearance, 1 the photo's, 2 twice as far from the scene's own.
     pub strength: f32,
 }
 
 impl Default for AppearanceRequest {
     fn default() -> Self {
-        AppearanceRequest { photos: Vec::new(), strength: 1.0 }
+        AppearanceRequest { photos: Vec::new(), file: None, strength: 1.0 }
     }
 }
 
@@ -32,9 +32,9 @@ impl AppearanceRequest {
         AppearanceRequest { photos: vec![photo.to_owned()], ..AppearanceRequest::default() }
     }
 
-    /// Whether it is a single appearance, and not a sequence.
-    pub(crate) fn is_one(&self) -> bool {
-        self.photos.len() == 1
+    /// How many appearances it names: several are a sequence.
+    pub(crate) fn count(&self) -> usize {
+        self.photos.len() + usize::from(self.file.is_some())
     }
 
     /// The lights of the named photos; none when no photo is named.
@@ -76,6 +76,11 @@ pub(crate) fn find(scene: &Scene, name: &str) -> Result<usize, RunError> {
 pub(crate) struct Lights(Vec<SceneLight>);
 
 impl Lights {
+    /// Adds a light to the end.
+    pub(crate) fn add(&mut self, light: SceneLight) {
+        self.0.push(light);
+    }
+
     /// The light at a share of the whole sequence, 0 to 1, interpolated between neighbours; `None` if the sequence is
     /// empty.
     pub(crate) fn at(&self, share: f32) -> Option<SceneLight> {
@@ -114,99 +119,6 @@ impl BlendedAppearance {
         let lights = AppearanceRequest { photos, ..AppearanceRequest::default() }.lights(scene, model)?;
         Ok(lights.at(self.share).unwrap_or_else(|| model.light(None)))
     }
-}
-
-/// What to write as splats that any program shows as they are.
-#[derive(Clone, Debug)]
-pub struct BakeRequest {
-    /// The appearance.
-    pub appearance: AppearanceRequest,
-    /// Another appearance for the selected object.
-    pub object_appearance: Option<AppearanceRequest>,
-    /// Where to interpolate, if two or more appearances are given: 0 is the first, 1 the last.
-    pub interpolate: Option<f32>,
-    /// Name of the selection.
-    pub selection: Option<String>,
-    /// What of the scene is written.
-    pub part: ScenePart,
-    /// The file; its ending names the format.
-    pub out: PathBuf,
-}
-
-/// A part of the scene.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ScenePart {
-    /// All of it.
-    Scene,
-    /// The selection.
-    Only,
-    /// All but the selection.
-    Without,
-}
-
-/// A file that was written.
-#[derive(Clone, Debug, Serialize)]
-pub struct Baked {
-    /// The file.
-    pub file: PathBuf,
-    /// Splats in it.
-    pub splats: usize,
-    /// Of a scene without an object: the share of what the object covers in the photos that no photo saw, in [0, 1].
-    pub unseen: Option<f32>,
-}
-
-/// Writes the scene, or a part of it, with an appearance.
-///
-/// # Errors
-/// When the run is not trained yet, the request does not fit the run, the file's ending names no format, its program is missing or
-/// fails, it cannot be written, or `stopper` stops it.
-pub fn bake(folder: &RunFolder, request: &BakeRequest, stopper: &Stopper) -> Result<Baked, RunError> {
-    let writer = ExportFormat::of(&request.out)?.writer()?;
-    let loaded = folder.load()?;
-    let (scene, mut model) = (&loaded.scene, loaded.model);
-    let mut whose = vec![false; model.splats.len()];
-    match &request.selection {
-        Some(name) => {
-            let selected = Selected::read(folder, name, model.splats.len())?;
-            model.splats = selected.cut_scene(&model.splats);
-            whose = selected.labels;
-        }
-        None if request.object_appearance.is_some() || request.part != ScenePart::Scene => {
-            let text = "an appearance of the object, or a part of the scene, needs --selection NAME";
-            return Err(RunError::Request(text.into()));
-        }
-        None => {}
-    }
-    let mut unseen = None;
-    if request.part != ScenePart::Scene {
-        let keep = if request.part == ScenePart::Only {
-            (0..whose.len()).filter(|&i| whose[i]).collect()
-        } else {
-            let engine = choose_engine(&loaded.settings.run, log_loss)?.engine;
-            let (splats, size) = ((&model.splats, model.options()), loaded.settings.scene.size);
-            let without = SceneWithout::of_run(&*engine, folder, scene, splats, &whose, size)?;
-            unseen = Some(without.unseen_share(&*engine, scene, size)?);
-            without.keep
-        };
-        model.select(&keep);
-        whose = vec![request.part == ScenePart::Only; keep.len()];
-    }
-    let light = |appearance: &AppearanceRequest| -> Result<Option<SceneLight>, RunError> {
-        if appearance.photos.len() > 1 && request.interpolate.is_none() {
-            return Err(RunError::Request("two appearances need --interpolate T, 0 to 1".into()));
-        }
-        Ok(appearance.lights(scene, &model)?.at(request.interpolate.unwrap_or(0.0)))
-    };
-    let object = match &request.object_appearance {
-        Some(appearance) => light(appearance)?.map(|light| (whose, light)),
-        None => None,
-    };
-    let objects = object.into_iter().collect();
-    let lighting =
-        SceneLighting { scene: light(&request.appearance)?.unwrap_or_else(|| model.light(None)), objects };
-    let baked = model.baked(&lighting);
-    writer.write(&export(scene, &model), &request.out, &baked, stopper)?;
-    Ok(Baked { file: request.out.clone(), splats: baked.len(), unseen })
 }
 
 /// The export of a trained scene's splats for other programs.

@@ -4,6 +4,7 @@ use crate::artifacts::folder::Loaded;
 use crate::artifacts::images::ImageFiles;
 use crate::output::camera_path::{self, CameraPath, InterpolatedCamera, ObjectSphere, PathCamera};
 use crate::output::cover::cover;
+use crate::output::foreign_photo::FittedScene;
 use crate::output::light::{AppearanceRequest, Lights, find};
 use crate::output::video::{self, FRAMES_PER_SECOND};
 use crate::output::without::SceneWithout;
@@ -169,7 +170,7 @@ fn render_into(
     let held = engine.hold(&renderer.model.splats)?;
     let engine = held.as_deref().unwrap_or(&*engine);
     let mut rendered = Vec::new();
-    let lights = request.appearance.lights(&loaded.scene, &renderer.model)?;
+    let lights = FittedScene::of(&loaded, plain).lights(&request.appearance, &renderer.model)?;
     let object_lights = match &request.object_appearance {
         Some(appearance) => Some(appearance.lights(&loaded.scene, &renderer.model)?),
         None => None,
@@ -288,7 +289,7 @@ fn camera_of(scene: &Scene, view: usize) -> PathCamera {
 fn check_appearances(request: &RenderRequest) -> Result<(), RunError> {
     let appearances = || std::iter::once(&request.appearance).chain(&request.object_appearance);
     let refuse = |text: &str| Err(RunError::Request(text.into()));
-    let sequence = appearances().any(|appearance| appearance.photos.len() > 1);
+    let sequence = appearances().any(|appearance| appearance.count() > 1);
     if request.object_appearance.is_some() && request.selection.is_none() {
         return refuse("an appearance of the object needs --selection NAME");
     }
@@ -302,7 +303,7 @@ fn check_appearances(request: &RenderRequest) -> Result<(), RunError> {
         );
     }
     if request.interpolate.is_some()
-        && (request.frames.is_some() || !through || appearances().all(AppearanceRequest::is_one))
+        && (request.frames.is_some() || !through || appearances().all(|appearance| appearance.count() == 1))
     {
         return refuse("--interpolate needs two appearances, and no --frames");
     }
