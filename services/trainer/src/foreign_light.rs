@@ -1,17 +1,17 @@
 //! The light of a photo that is not in the scene, whose pose is not known.
 //!
-//! Its colours are compared as a whole: renders of the views whose framing resembles the photo are brought to its colours by optimal
-//! transport, sky aside. What fits the appearance of a posed photo, pixel by pixel, then fits these pairs. The network of `gsw` sees
-//! the photo itself, as if it had been taken from the view that resembles it most.
+//! Renders of the views are laid over the photo, scaled and shifted, where they resemble it most. Where a render lies on the photo, its
+//! colours are brought to the photo's by optimal transport: as a whole, since the pixels are not quite the same ones. What fits the
+//! appearance of a posed photo, pixel by pixel, then fits these pairs. The network of `gsw` sees the photo itself, as if it had been
+//! taken from the view that resembles it most.
 
 use crate::TrainError;
 use crate::appearances::{self, LitPixel};
-use crate::evaluate::background_of;
 use crate::light::{SceneLight, directions};
 use crate::model::Model;
 use crate::photos::{PhotoLevel, Stored, TrainPhoto};
 use glam::{Mat3, Quat, Vec3};
-use segwild_objective::background::{Background, PRIOR};
+use segwild_objective::background::Background;
 use segwild_objective::{
     AffineAppearance, AnyAppearance, Appearance, AppearanceMaps, EmbedAppearance, HIDDEN_LAYER, RANK,
 };
@@ -22,8 +22,12 @@ use segwild_scene::{Camera, Image, Pose, Scene};
 const VIEWS: usize = 4;
 /// Long side of these renders, in pixels.
 const SIDE: u32 = 96;
-/// Cells along each side of the grid by which framings are compared.
-const GRID: usize = 16;
+/// Cells along the long side of the grids by which a photo and renders are compared.
+const GRID: usize = 24;
+/// Sizes of a cell of the photo in cells of a render.
+const SCALES: [f32; 7] = [0.5, 0.63, 0.8, 1.0, 1.25, 1.6, 2.0];
+/// Largest shift, in cells.
+const SHIFT: i32 = 10;
 /// Cover from which on a pixel of a render has the scene's colour.
 const COVERED: f32 = 0.9;
 /// Rotations of the colour space along whose axes colours are transported.
@@ -48,12 +52,13 @@ enum FittedAppearance {
     Gsw(EmbedAppearance, Vec<f32>, AppearanceMaps),
 }
 
-/// The render of a view, in the scene's own light.
-struct Reference {
+/// The render of a view, in the scene's own light, and where it lies on the photo.
+struct OverlaidRender {
     view: usize,
     camera: Camera,
     colours: Image,
     alpha: Image,
+    overlay: PhotoOverlay,
 }
 
 impl ForeignLight {
@@ -69,22 +74,22 @@ impl ForeignLight {
     ) -> Result<ForeignLight, TrainError> {
         let stored = Stored::pack("the photo", photo)?;
         let whole = &stored.levels[0];
-        let small = stored.levels.last().unwrap_or(whole);
-        let target: Vec<Vec3> =
-            (0..small.pixels()).filter(|&i| small.counts(i)).map(|i| small.colour(i).into()).collect();
-        let references = references(model, engine, scene, small)?;
-        let (Some(nearest), false) = (references.first(), target.is_empty()) else {
-            let reason = "it shows nothing of the scene: all of it is sky";
+        let references = references(model, engine, scene, whole)?;
+        let Some(nearest) = references.first() else {
+            let reason = "no view of the scene resembles it";
             return Err(TrainError::Photo { name: "the photo".into(), reason: reason.into() });
         };
-        let camera = scene.views[nearest.view].camera.resized(whole.width as u32, whole.height as u32);
+        let name = scene.views[nearest.view].name.as_str();
+        tracing::debug!(view = name, overlay = ?nearest.overlay, "the photo resembles a view");
+        let camera = nearest.overlay.camera(&nearest.camera, whole.width, whole.height);
         let pose = scene.views[nearest.view].pose;
-        let background = stored.has_sky.then(|| {
-            let covered = Image::filled(whole.width, whole.height, 1, 1.0);
-            background_of(whole, &covered, &camera, &pose, PRIOR, |_| true)
-        });
-        let appearance = fit(model, engine, scene, &references, &target, (whole, &camera, &pose))?;
-        Ok(ForeignLight { appearance, background: background.flatten() })
+        let appearance = fit(model, engine, scene, &references, (whole, &camera, &pose))?;
+        // Where in the sky the photo was taken towards is not known: it gets one colour.
+        let sky: Vec<Vec3> =
+            (0..whole.pixels()).filter(|&i| whole.sky(i)).map(|i| whole.colour(i).into()).collect();
+        let mean = || sky.iter().sum::<Vec3>() / sky.len() as f32;
+        let background = (!sky.is_empty()).then(|| Background::constant(mean().into()));
+        Ok(ForeignLight { appearance, background })
     }
 }
 
@@ -109,15 +114,16 @@ impl Model {
     }
 }
 
-/// Renders of the views that resemble the photo's framing most, the nearest first.
+/// Renders of the views that resemble the photo most, the nearest first.
 fn references(
     model: &Model,
     engine: &dyn Rasterizer,
     scene: &Scene,
     photo: &PhotoLevel,
-) -> Result<Vec<Reference>, TrainError> {
-    let framing = grid(photo.width, photo.height, |i| photo.counts(i).then(|| luminance(photo.colour(i))));
-    let mut found: Vec<(f32, Reference)> = Vec::new();
+) -> Result<Vec<OverlaidRender>, TrainError> {
+    let cells =
+        FramingGrid::of(photo.width, photo.height, |i| photo.counts(i).then(|| luminance(photo.colour(i))));
+    let mut found: Vec<OverlaidRender> = Vec::new();
     for &view in &model.trained_on {
         let view = view as usize;
         let camera = scene.views[view].camera.scaled_to(SIDE);
@@ -128,50 +134,148 @@ fn references(
         let lit = |i: usize| {
             (alpha.data[i] > COVERED).then(|| luminance([0, 1, 2].map(|c| colours.data[c * n + i])))
         };
-        let resemblance = resemblance(&framing, &grid(colours.width, colours.height, lit));
-        found.push((resemblance, Reference { view, camera, colours, alpha }));
-        found.sort_by(|a, b| b.0.total_cmp(&a.0));
-        found.truncate(VIEWS);
+        let overlay = cells.over(&FramingGrid::of(colours.width, colours.height, lit));
+        if overlay.resemblance > 0.0 {
+            found.push(OverlaidRender { view, camera, colours, alpha, overlay });
+            found.sort_by(|a, b| b.overlay.resemblance.total_cmp(&a.overlay.resemblance));
+            found.truncate(VIEWS);
+        }
     }
-    Ok(found.into_iter().map(|(_, reference)| reference).collect())
+    Ok(found)
 }
 
 fn luminance([r, g, b]: [f32; 3]) -> f32 {
     0.3 * r + 0.6 * g + 0.1 * b
 }
 
-/// Mean luminance in the cells of a grid over an image; `None` where most of a cell shows none of the scene.
-fn grid(width: usize, height: usize, of: impl Fn(usize) -> Option<f32>) -> Vec<Option<f32>> {
-    let mut cells = vec![(0.0, 0usize, 0usize); GRID * GRID];
-    for i in 0..width * height {
-        let (x, y) = (i % width * GRID / width, i / width * GRID / height);
-        let (sum, shown, all) = &mut cells[y * GRID + x];
-        *all += 1;
-        if let Some(value) = of(i) {
-            *sum += value;
-            *shown += 1;
-        }
-    }
-    cells.into_iter().map(|(sum, shown, all)| (2 * shown > all).then(|| sum / shown as f32)).collect()
+/// Mean luminance in square cells of an image; `None` where most of a cell shows none of the scene.
+struct FramingGrid {
+    width: usize,
+    height: usize,
+    cells: Vec<Option<f32>>,
 }
 
-/// How much two framings resemble one another: the rank correlation of what both show, times the share that both show of what either
-/// does. Ranks are the same in any light that keeps the order of what is bright.
-fn resemblance(a: &[Option<f32>], b: &[Option<f32>]) -> f32 {
-    let both: Vec<(f32, f32)> = a.iter().zip(b).filter_map(|(a, b)| Some(((*a)?, (*b)?))).collect();
-    let either = a.iter().zip(b).filter(|(a, b)| a.is_some() || b.is_some()).count();
+/// How a photo lies on a render.
+#[derive(Clone, Copy, Debug)]
+struct PhotoOverlay {
+    /// Size of a cell of the photo, in cells of the render.
+    scale: f32,
+    /// Shift of the photo's middle from the render's, in cells of the render.
+    shift: [f32; 2],
+    /// 0 where they have nothing in common, 1 for equal images.
+    resemblance: f32,
+}
+
+impl FramingGrid {
+    fn of(width: usize, height: usize, of: impl Fn(usize) -> Option<f32>) -> FramingGrid {
+        let side = width.max(height) as f32 / GRID as f32;
+        let count = |pixels: usize| ((pixels as f32 / side).round() as usize).max(1);
+        let (columns, rows) = (count(width), count(height));
+        let mut cells = vec![(0.0, 0usize, 0usize); columns * rows];
+        for i in 0..width * height {
+            let (x, y) = (i % width * columns / width, i / width * rows / height);
+            let (sum, shown, all) = &mut cells[y * columns + x];
+            *all += 1;
+            if let Some(value) = of(i) {
+                *sum += value;
+                *shown += 1;
+            }
+        }
+        let mean = |(sum, shown, all): (f32, usize, usize)| (2 * shown > all).then(|| sum / shown as f32);
+        FramingGrid { width: columns, height: rows, cells: cells.into_iter().map(mean).collect() }
+    }
+
+    /// Where this photo resembles a render most.
+    fn over(&self, render: &FramingGrid) -> PhotoOverlay {
+        let mut best = PhotoOverlay { scale: 1.0, shift: [0.0; 2], resemblance: 0.0 };
+        for scale in SCALES {
+            for (dx, dy) in (-SHIFT..=SHIFT).flat_map(|y| (-SHIFT..=SHIFT).map(move |x| (x, y))) {
+                let at = PhotoOverlay { scale, shift: [dx as f32, dy as f32], resemblance: 0.0 };
+                let resemblance = self.resemblance(render, &at);
+                if resemblance > best.resemblance {
+                    best = PhotoOverlay { resemblance, ..at };
+                }
+            }
+        }
+        best
+    }
+
+    /// How well the ranks of what both show correlate, times the share of the render on the photo that lies on no sky, times the fourth
+    /// root of the share of what the photo shows that has a render: it may show much more than the scene, such as clouds. Ranks are the
+    /// same in any light that keeps the order of what is bright.
+    fn resemblance(&self, render: &FramingGrid, at: &PhotoOverlay) -> f32 {
+        let (mut both, mut rendered, mut shown) = (Vec::new(), 0, 0);
+        for (i, cell) in self.cells.iter().enumerate() {
+            shown += usize::from(cell.is_some());
+            let of = |k: usize, own: usize, other: usize, shift: f32| {
+                (k as f32 + 0.5 - 0.5 * own as f32) * at.scale + 0.5 * other as f32 + shift
+            };
+            let x = of(i % self.width, self.width, render.width, at.shift[0]);
+            let y = of(i / self.width, self.height, render.height, at.shift[1]);
+            if x < 0.0 || y < 0.0 || x >= render.width as f32 || y >= render.height as f32 {
+                continue;
+            }
+            let Some(value) = render.cells[y as usize * render.width + x as usize] else { continue };
+            rendered += 1;
+            if let Some(cell) = cell {
+                both.push((*cell, value));
+            }
+        }
+        // Fewer than a row of cells resemble anything.
+        if both.len() < GRID {
+            return 0.0;
+        }
+        let share = |of: usize, all: usize| of as f32 / all.max(1) as f32;
+        let common = share(both.len(), rendered) * share(both.len(), shown).sqrt().sqrt();
+        (0.5 + 0.5 * rank_correlation(&both)).powi(2) * common
+    }
+}
+
+fn rank_correlation(pairs: &[(f32, f32)]) -> f32 {
     let ranks = |of: fn(&(f32, f32)) -> f32| {
-        let mut order: Vec<usize> = (0..both.len()).collect();
-        order.sort_by(|&i, &j| of(&both[i]).total_cmp(&of(&both[j])));
-        let mut ranks = vec![0.0; both.len()];
+        let mut order: Vec<usize> = (0..pairs.len()).collect();
+        order.sort_by(|&i, &j| of(&pairs[i]).total_cmp(&of(&pairs[j])));
+        let mut ranks = vec![0.0; pairs.len()];
         order.into_iter().enumerate().for_each(|(rank, i)| ranks[i] = rank as f32);
         ranks
     };
     let (x, y) = (ranks(|pair| pair.0), ranks(|pair| pair.1));
-    let mean = (both.len() as f32 - 1.0) / 2.0;
+    let mean = (pairs.len() as f32 - 1.0) / 2.0;
     let moment = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - mean) * (b - mean)).sum::<f32>();
-    let correlation = moment(&x, &y) / moment(&x, &x).max(1e-6);
-    (0.5 + 0.5 * correlation) * both.len() as f32 / either.max(1) as f32
+    moment(&x, &y) / moment(&x, &x).max(1e-6)
+}
+
+impl PhotoOverlay {
+    /// Pixels of the render per pixel of a photo, and the render's pixel at which the photo's middle lies.
+    fn pixels(&self, render: &Camera, width: usize, height: usize) -> (f32, [f32; 2]) {
+        let cell = render.width.max(render.height) as f32 / GRID as f32;
+        let own = width.max(height) as f32 / GRID as f32;
+        let [dx, dy] = self.shift.map(|shift| shift * cell);
+        (self.scale * cell / own, [0.5 * render.width as f32 + dx, 0.5 * render.height as f32 + dy])
+    }
+
+    /// The camera that shows on a photo of this size what the render shows where the photo lies.
+    fn camera(&self, render: &Camera, width: usize, height: usize) -> Camera {
+        let (scale, [x, y]) = self.pixels(render, width, height);
+        Camera {
+            width: width as u32,
+            height: height as u32,
+            fx: render.fx / scale,
+            fy: render.fy / scale,
+            cx: (render.cx - x) / scale + 0.5 * width as f32,
+            cy: (render.cy - y) / scale + 0.5 * height as f32,
+        }
+    }
+
+    /// The pixel of the photo at a pixel of the render; `None` outside of it.
+    fn photo_pixel(&self, render: &Camera, photo: &PhotoLevel, at: usize) -> Option<usize> {
+        let (scale, [mx, my]) = self.pixels(render, photo.width, photo.height);
+        let (px, py) = (at % render.width as usize, at / render.width as usize);
+        let x = (px as f32 + 0.5 - mx) / scale + 0.5 * photo.width as f32;
+        let y = (py as f32 + 0.5 - my) / scale + 0.5 * photo.height as f32;
+        let inside = x >= 0.0 && y >= 0.0 && x < photo.width as f32 && y < photo.height as f32;
+        inside.then(|| y as usize * photo.width + x as usize)
+    }
 }
 
 /// Moves colours so that they are distributed as the target's: along the axes of rotated colour spaces, one after the other, the
@@ -215,25 +319,12 @@ fn fit(
     model: &Model,
     engine: &dyn Rasterizer,
     scene: &Scene,
-    references: &[Reference],
-    target: &[Vec3],
+    references: &[OverlaidRender],
     (photo, camera, pose): (&PhotoLevel, &Camera, &Pose),
 ) -> Result<FittedAppearance, TrainError> {
-    let shown = |reference: &Reference| -> Vec<usize> {
-        (0..reference.alpha.pixels()).filter(|&i| reference.alpha.data[i] > COVERED).collect()
-    };
-    let colour = |reference: &Reference, i: usize| -> [f32; 3] {
+    let colour = |reference: &OverlaidRender, i: usize| -> [f32; 3] {
         [0, 1, 2].map(|c| reference.colours.data[c * reference.alpha.pixels() + i])
     };
-    let source: Vec<Vec3> = references
-        .iter()
-        .flat_map(|reference| shown(reference).into_iter().map(|i| Vec3::from(colour(reference, i))))
-        .collect();
-    if source.is_empty() {
-        let reason = "no view of the scene resembles it";
-        return Err(TrainError::Photo { name: "the photo".into(), reason: reason.into() });
-    }
-    let wanted = transported(&source, target);
     let means = &model.splats.means;
     // What the networks see of the photo, and what they make of it before the fit.
     let conditioned = match &model.appearance {
@@ -249,8 +340,7 @@ fn fit(
         }
         _ => None,
     };
-    let mut pixels: Vec<(LitPixel, [f32; HIDDEN_LAYER])> = Vec::with_capacity(source.len());
-    let mut seen = wanted.iter();
+    let mut pixels: Vec<(LitPixel, [f32; HIDDEN_LAYER])> = Vec::new();
     for reference in references {
         let view_pose = &scene.views[reference.view].pose;
         let projected = engine.project(&model.splats, &reference.camera, view_pose, &model.options())?;
@@ -271,14 +361,19 @@ fn fit(
         };
         let n = reference.alpha.pixels();
         let at = |image: &Image, k: usize, i: usize| image.data.get(k * n + i).copied().unwrap_or(0.0);
-        for i in shown(reference) {
-            let Some(seen) = seen.next() else { break };
-            let alpha = reference.alpha.data[i];
+        let on_photo = |i: &usize| -> Option<(usize, Vec3)> {
+            let at = reference.overlay.photo_pixel(&reference.camera, photo, *i)?;
+            (reference.alpha.data[*i] > COVERED && photo.counts(at)).then(|| (*i, photo.colour(at).into()))
+        };
+        let common: Vec<(usize, Vec3)> = (0..n).filter_map(|i| on_photo(&i)).collect();
+        let source: Vec<Vec3> = common.iter().map(|&(i, _)| colour(reference, i).into()).collect();
+        let target: Vec<Vec3> = common.iter().map(|&(_, seen)| seen).collect();
+        for (&(i, _), seen) in common.iter().zip(transported(&source, &target)) {
             let pixel = LitPixel {
                 scene: colour(reference, i),
-                alpha,
+                alpha: reference.alpha.data[i],
                 light: std::array::from_fn(|k| at(&embeddings, k, i)),
-                seen: (*seen).into(),
+                seen: seen.into(),
             };
             pixels.push((pixel, std::array::from_fn(|k| at(&hidden, k, i))));
         }
@@ -350,18 +445,43 @@ mod tests {
         assert!(worst < 0.06, "{worst}");
     }
 
+    /// A hill with a pattern before the sky, as seen by a camera that is shifted and zoomed.
+    fn framing(shift: f32, zoom: f32, light: fn(f32) -> f32) -> FramingGrid {
+        FramingGrid::of(64, 48, |i| {
+            let (x, y) = ((i % 64) as f32 - 32.0, (i / 64) as f32 - 24.0);
+            let (x, y) = (x / zoom + shift, y / zoom);
+            let value = 0.5 + 0.25 * (0.31 * x).sin() + 0.25 * (0.2 * x + 0.37 * y).cos();
+            (y > -12.0 + 0.02 * x * x).then(|| light(value))
+        })
+    }
+
     #[test]
-    fn framings_resemble_one_another_in_any_light_and_not_when_moved() {
-        let framing = |shift: usize, light: fn(f32) -> f32| {
-            grid(64, 48, |i| {
-                let (x, y) = (i % 64 + shift, i / 64);
-                let value = ((x * 7 + y * 3) % 41) as f32 / 41.0 * 0.3 + (x as f32 / 90.0).sin().abs() * 0.7;
-                (y > 8 + x / 8).then(|| light(value))
-            })
-        };
-        let day = framing(0, |v| v);
-        let night = resemblance(&day, &framing(0, |v| 0.02 + 0.1 * v * v));
-        let moved = resemblance(&day, &framing(40, |v| v));
-        assert!(night > 0.98 && moved < 0.8, "{night}, {moved}");
+    fn a_photo_is_laid_where_it_resembles_a_render_in_any_light() {
+        let night = framing(8.0, 1.6, |v| 0.02 + 0.1 * v * v);
+        let at = night.over(&framing(0.0, 1.0, |v| v));
+        assert!(at.resemblance > 0.8, "{at:?}");
+        // A cell of the photo is 1 / 1.6 of a render's, and 8 pixels are two cells.
+        assert!((at.scale - 0.63).abs() < 0.01 && (at.shift[0] - 2.0).abs() <= 1.0, "{at:?}");
+        let nothing = FramingGrid::of(64, 48, |_| None);
+        assert_eq!(nothing.over(&framing(0.0, 1.0, |v| v)).resemblance, 0.0);
+    }
+
+    #[test]
+    fn the_camera_of_an_overlay_shows_what_the_render_shows_there() {
+        let render = Camera { width: 96, height: 64, fx: 100.0, fy: 100.0, cx: 47.0, cy: 33.0 };
+        let overlay = PhotoOverlay { scale: 0.8, shift: [2.0, -1.0], resemblance: 1.0 };
+        let image = Image::filled(320, 240, 3, 0.5);
+        let photo = TrainPhoto { image, valid: None, sky: None, transients: None };
+        let stored = Stored::pack("a photo", &photo).expect("it is whole");
+        let photo = &stored.levels[0];
+        let camera = overlay.camera(&render, photo.width, photo.height);
+        for (x, y) in [(50usize, 20usize), (70, 40)] {
+            let at = overlay.photo_pixel(&render, photo, y * 96 + x).expect("it lies on the photo");
+            let ray = |camera: &Camera, x: f32, y: f32| camera.ray(glam::Vec2::new(x, y));
+            let off = ray(&render, x as f32 + 0.5, y as f32 + 0.5)
+                - ray(&camera, (at % 320) as f32 + 0.5, (at / 320) as f32 + 0.5);
+            assert!(off.length() < 0.01, "{off}");
+        }
+        assert_eq!(overlay.photo_pixel(&render, photo, 0), None);
     }
 }
