@@ -250,7 +250,7 @@ fn a_photo_that_is_not_in_the_scene_gives_it_its_appearance() {
         fitted_off += apart(means(&["--appearance-from", &show(&file)]), trained);
         own_off += apart(own, trained);
     }
-    assert!(fitted_off < 0.5 * own_off, "{fitted_off} off those trained, the scene's own {own_off}");
+    assert!(fitted_off < 0.75 * own_off, "{fitted_off} off those trained, the scene's own {own_off}");
     let file = show(&dir.path().join("holiday-1.png"));
     let weak = means(&["--appearance-from", &file, "--strength", "0"]);
     assert!(apart(weak, own) < 0.01, "no strength is the scene's own appearance");
