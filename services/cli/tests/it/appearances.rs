@@ -266,3 +266,22 @@ fn a_photo_that_is_not_in_the_scene_gives_it_its_appearance() {
     std::fs::write(&text, "no photo").expect("it is written");
     refuses(&[&render[..], &["--appearance-from", &show(&text)]].concat(), 3, &["text.jpg"]);
 }
+
+#[test]
+fn splats_are_written_where_the_runs_accelerator_is_not() {
+    let dir = folder();
+    let run = copied_run(&dir);
+    let settings = run.join("segwild.toml");
+    let text = std::fs::read_to_string(&settings).expect("its settings");
+    let elsewhere = |line: &str| match line.split_once(" = ").map(|(name, _)| name) {
+        Some("engine") => "engine = \"gpu\"\n".to_owned(),
+        Some("adapter") => "adapter = \"nonesuch\"\n".to_owned(),
+        _ => format!("{line}\n"),
+    };
+    let elsewhere: String = text.lines().map(elsewhere).collect();
+    assert!(elsewhere.contains("engine = \"gpu\"\n") && elsewhere.contains("\"nonesuch\""));
+    std::fs::write(&settings, elsewhere).expect("it is written");
+    let file = dir.path().join("scene.ply");
+    works(&["bake", &show(&run), "--out", &show(&file)]);
+    assert!(file.is_file());
+}

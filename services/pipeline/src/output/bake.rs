@@ -5,9 +5,12 @@ use crate::output::light::{AppearanceRequest, export};
 use crate::output::without::SceneWithout;
 use crate::{ExportFormat, RunError, RunFolder, Selected, choose_engine, log_loss};
 use segwild_flow::Stopper;
+use segwild_objective::Engine;
+use segwild_raster::CpuEngine;
 use segwild_trainer::{SceneLight, SceneLighting};
 use serde::Serialize;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// What to write as splats that any program shows as they are.
 #[derive(Clone, Debug)]
@@ -56,7 +59,12 @@ pub struct Baked {
 pub fn bake(folder: &RunFolder, request: &BakeRequest, stopper: &Stopper) -> Result<Baked, RunError> {
     let writer = ExportFormat::of(&request.out)?.writer()?;
     let loaded = folder.load()?;
-    let engine = choose_engine(&loaded.settings.run, log_loss)?.engine;
+    // Most files need no render: they are written where the run's accelerator is not.
+    let engine: Arc<dyn Engine> =
+        match request.part == ScenePart::Without || request.appearance.file.is_some() {
+            true => choose_engine(&loaded.settings.run, log_loss)?.engine,
+            false => Arc::new(CpuEngine::default()),
+        };
     let (scene, mut model) = (&loaded.scene, loaded.model.clone());
     let mut whose = vec![false; model.splats.len()];
     match &request.selection {

@@ -141,6 +141,11 @@ impl ObjectAxes {
         }
     }
 
+    /// Where photos were taken from.
+    fn of_photos(&self, photos: &[PathCamera]) -> Vec<AroundObject> {
+        photos.iter().map(|photo| self.of(photo.pose.centre())).collect()
+    }
+
     /// The pose of a camera that faces the object.
     fn pose(&self, at: &AroundObject) -> Pose {
         let level = self.ahead * at.azimuth.cos() + self.across * at.azimuth.sin();
@@ -199,8 +204,7 @@ pub(super) fn turntable(
     size: u32,
 ) -> Vec<PathCamera> {
     let axes = ObjectAxes::new(sphere.centre, up);
-    let positions: Vec<AroundObject> =
-        showing(photos, sphere).iter().map(|photo| axes.of(photo.pose.centre())).collect();
+    let positions = axes.of_photos(&showing(photos, sphere));
     let (low, high) = (ELEVATIONS.0.to_radians(), ELEVATIONS.1.to_radians());
     let elevation = median(positions.iter().map(|at| at.elevation).collect()).clamp(low, high);
     // It begins where most photos were taken.
@@ -243,7 +247,7 @@ pub(super) fn orbit(
 ) -> Vec<PathCamera> {
     let axes = ObjectAxes::new(sphere.centre, up);
     let mut shown = showing(photos, sphere);
-    let positions: Vec<AroundObject> = shown.iter().map(|photo| axes.of(photo.pose.centre())).collect();
+    let positions = axes.of_photos(&shown);
     let (start, gap) = widest_gap(positions.iter().map(|at| at.azimuth).collect());
     let full = gap <= GAP.to_radians();
     let swing = 0.5 * (TAU - gap);
