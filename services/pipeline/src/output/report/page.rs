@@ -29,18 +29,18 @@ use std::fmt::Write as _;
 pub fn write_report(folder: &RunFolder) -> Result<Vec<Skipped>, RunError> {
     let loaded = folder.load()?;
     let engine = choose_engine(&loaded.settings.run, log_loss)?.engine;
-    let mut body = String::new();
-    body.push_str(&summary(folder, &loaded)?);
+    let mut body = lead(folder, &loaded)?;
+    let (rows, left_out) = photos(folder, &loaded, &*engine)?;
+    body.push_str(&rows);
+    body.push_str(&objects::all(folder, &loaded, &*engine)?);
+    body.push_str(&objects::list(folder));
     match appearances(&loaded, &*engine) {
         Ok(appearances) => body.push_str(&appearances),
         Err(error) => {
             body.push_str(&format!("<p>Appearances are not shown: {}</p>", html::escape(&error.to_string())))
         }
     }
-    body.push_str(&objects::list(folder));
-    body.push_str(&objects::all(folder, &loaded, &*engine)?);
-    let (rows, left_out) = photos(folder, &loaded, &*engine)?;
-    body.push_str(&rows);
+    body.push_str(&figures(folder, &loaded)?);
     body.push_str(&fits(folder, &loaded));
     body.push_str(&curves(folder));
     body.push_str(&stages(folder));
@@ -57,7 +57,18 @@ pub fn write_report(folder: &RunFolder) -> Result<Vec<Skipped>, RunError> {
     Ok(left_out)
 }
 
-fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
+/// What the pictures below are of, and which provider made the masks.
+fn lead(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
+    let intake = folder.intake()?;
+    let by = match intake.provider.as_str() {
+        "" => String::new(),
+        provider => format!(" Masks and clicks by {}.", html::escape(provider)),
+    };
+    Ok(format!("<p>{} photos became {} splats.{by}</p>", intake.photos.len(), loaded.model.splats.len()))
+}
+
+/// The figures of the run: what it was made of, and the scores of photos that were held out.
+fn figures(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
     let intake = folder.intake()?;
     let mut rows = vec![vec!["what".to_owned(), "how much".to_owned()]];
     let mut row = |name: &str, value: String| rows.push(vec![name.to_owned(), value]);
@@ -103,7 +114,7 @@ fn summary(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
         let kept = 100.0 * field.pca.explained_variance();
         row("features", format!("{} channels, {kept:.1} % of the embedding's variance", field.channels));
     }
-    let mut text = html::table(&rows);
+    let mut text = format!("<h2>Figures</h2>{}", html::table(&rows));
     if let Ok(held) = folder.read_json::<HeldOut>("evaluation.json")
         && !intake.held_out.is_empty()
     {
