@@ -100,7 +100,7 @@ pub(crate) struct DraftPoint {
 /// The draft of a COLMAP reconstruction in `dir`.
 pub(crate) fn from_colmap(dir: &Path) -> Result<Draft, SceneError> {
     let mut notes: Vec<String> = colmap::stale(dir).into_iter().chain(colmap::mixed(dir)).collect();
-    let reconstruction = colmap::read(dir)?;
+    let (reconstruction, pixels) = colmap::read_tracked(dir)?;
     let mut lenses = HashMap::new();
     for camera in &reconstruction.cameras {
         // Of two cameras with one id the first counts.
@@ -125,11 +125,10 @@ pub(crate) fn from_colmap(dir: &Path) -> Result<Draft, SceneError> {
         };
         photos.push(DraftPhoto { name: image.name.clone(), file: None, usable: None, lens, pose });
     }
-    let points = reconstruction.points.iter().map(|point| {
-        let sighting = |&(image, keypoint): &(u32, u32)| {
+    let points = reconstruction.points.into_iter().map(|point| {
+        let sighting = |&(image, feature): &(u32, u32)| {
             let photo = *by_id.get(&image)?;
-            let pixel = reconstruction.images[photo].keypoints.get(keypoint as usize).map(|k| k.pixel);
-            Some((photo, pixel))
+            Some((photo, pixels.get(image, feature)))
         };
         let track = point.track.iter().filter_map(sighting).collect();
         DraftPoint { position: DVec3::from(point.position), colour: point.colour, track }

@@ -1,26 +1,33 @@
 //! COLMAP's `.bin` files: little endian, a count of records and then the records.
 
-use super::records::{CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction};
+use super::records::{CameraRecord, ImageRecord, KeepFeature, Keypoint, PointRecord, Reconstruction};
 use crate::SceneError;
 use crate::lens::CameraModel;
 use segwild_files::write_atomic;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 /// COLMAP's mark for a keypoint without a 3D point.
 const NO_POINT: u64 = u64::MAX;
 
-/// Reads the bytes of one file; every error names the record that was being read.
+/// Reads one file from its start to its end; every error names the record that was being read.
 struct Cursor<'a> {
     path: &'a Path,
-    bytes: &'a [u8],
-    at: usize,
+    file: BufReader<File>,
+    /// Bytes of the file.
+    length: u64,
+    at: u64,
     record: String,
-    start: usize,
+    start: u64,
 }
 
 impl<'a> Cursor<'a> {
-    fn new(path: &'a Path, bytes: &'a [u8]) -> Cursor<'a> {
-        Cursor { path, bytes, at: 0, record: "the count of records".into(), start: 0 }
+    fn open(path: &'a Path) -> Result<Cursor<'a>, SceneError> {
+        let file = segwild_files::open_plain(path).map_err(SceneError::io(path))?;
+        let length = file.metadata().map_err(SceneError::io(path))?.len();
+        let file = BufReader::new(file);
+        Ok(Cursor { path, file, length, at: 0, record: "the count of records".into(), start: 0 })
     }
 
     fn start(&mut self, record: String) {
@@ -28,24 +35,27 @@ impl<'a> Cursor<'a> {
         self.start = self.at;
     }
 
-    fn take(&mut self, n: usize) -> Result<&'a [u8], SceneError> {
-        let left = self.bytes.len() - self.at;
-        if n > left {
-            return Err(SceneError::Truncated {
-                path: self.path.to_owned(),
-                record: self.record.clone(),
-                offset: self.start as u64,
-                needed: n as u64,
-                left: left as u64,
-            });
+    fn left(&self) -> u64 {
+        self.length - self.at
+    }
+
+    /// Refuses what the rest of the file cannot hold.
+    fn needs(&self, needed: u64) -> Result<(), SceneError> {
+        let left = self.left();
+        if needed <= left {
+            return Ok(());
         }
-        let taken = &self.bytes[self.at..self.at + n];
-        self.at += n;
-        Ok(taken)
+        let (path, record, offset) = (self.path.to_owned(), self.record.clone(), self.start);
+        Err(SceneError::Truncated { path, record, offset, needed, left })
     }
 
     fn array<const N: usize>(&mut self) -> Result<[u8; N], SceneError> {
-        Ok(self.take(N)?.try_into().expect("take returns what was asked for"))
+        self.needs(N as u64)?;
+        let mut bytes = [0; N];
+        // A file that was cut since it was opened.
+        self.file.read_exact(&mut bytes).map_err(SceneError::io(self.path))?;
+        self.at += N as u64;
+        Ok(bytes)
     }
 
     fn u32(&mut self) -> Result<u32, SceneError> {
@@ -64,20 +74,23 @@ impl<'a> Cursor<'a> {
         Ok(values)
     }
 
-    /// A count of things of `size` bytes each that must follow: refused before anything is allocated.
-    fn count(&mut self, size: usize) -> Result<usize, SceneError> {
-        let n = self.u64()?;
-        let left = (self.bytes.len() - self.at) as u64;
-        let needed = n.saturating_mul(size as u64);
-        if needed > left {
-            return Err(SceneError::Truncated {
-                path: self.path.to_owned(),
-                record: self.record.clone(),
-                offset: self.start as u64,
-                needed,
-                left,
-            });
+    /// Text up to a zero byte.
+    fn text(&mut self) -> Result<String, SceneError> {
+        let left = self.left();
+        let mut bytes = Vec::new();
+        let read =
+            self.file.by_ref().take(left).read_until(0, &mut bytes).map_err(SceneError::io(self.path))?;
+        if bytes.pop() != Some(0) {
+            self.needs(left + 1)?;
         }
+        self.at += read as u64;
+        Ok(crate::text::line(&bytes))
+    }
+
+    /// A count of things of `size` bytes each that must follow: refused before anything is allocated.
+    fn count(&mut self, size: u64) -> Result<usize, SceneError> {
+        let n = self.u64()?;
+        self.needs(n.saturating_mul(size))?;
         Ok(n as usize)
     }
 
@@ -86,7 +99,7 @@ impl<'a> Cursor<'a> {
     }
 
     fn end(&self) -> Result<(), SceneError> {
-        let left = self.bytes.len() - self.at;
+        let left = self.left();
         if left == 0 {
             return Ok(());
         }
@@ -107,8 +120,7 @@ fn records<T>(
     mut read: impl FnMut(&mut Cursor<'_>) -> Result<T, SceneError>,
 ) -> Result<Vec<T>, SceneError> {
     let path = dir.join(name);
-    let bytes = crate::bytes::read_bytes(&path).map_err(SceneError::io(&path))?;
-    let mut cursor = Cursor::new(&path, &bytes);
+    let mut cursor = Cursor::open(&path)?;
     let count = cursor.u64()?;
     let mut all = Vec::new();
     for i in 1..=count {
@@ -119,8 +131,9 @@ fn records<T>(
     Ok(all)
 }
 
-pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
-    let cameras = records(dir, "cameras.bin", "camera", |c| {
+/// The cameras of `cameras.bin`.
+pub(super) fn cameras(dir: &Path) -> Result<Vec<CameraRecord>, SceneError> {
+    records(dir, "cameras.bin", "camera", |c| {
         let id = c.u32()?;
         let number = c.u32()? as i32;
         let Some(model) = CameraModel::from_id(number) else {
@@ -135,25 +148,27 @@ pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
             params.extend(c.f64s::<1>()?);
         }
         Ok(CameraRecord { id, model, width, height, params })
-    })?;
-    let images = records(dir, "images.bin", "image", |c| {
+    })
+}
+
+/// The photos of `images.bin`, with those of their features for which `keep` returns true.
+pub(super) fn images(dir: &Path, keep: &mut KeepFeature<'_>) -> Result<Vec<ImageRecord>, SceneError> {
+    records(dir, "images.bin", "image", |c| {
         let id = c.u32()?;
         let (rotation, translation) = (c.f64s()?, c.f64s()?);
         let camera_id = c.u32()?;
-        let rest = &c.bytes[c.at..];
-        let length = rest.iter().position(|&b| b == 0).unwrap_or(rest.len());
-        let name = c.take(length + 1)?;
-        let name = crate::text::line(&name[..length]);
-        let n = c.count(24)?;
-        let mut keypoints = Vec::with_capacity(n);
-        for _ in 0..n {
+        let name = c.text()?;
+        let mut keypoints = Vec::new();
+        for index in 0..c.count(24)? {
             let pixel = c.f64s()?;
             let point = c.u64()?;
-            keypoints.push(Keypoint { pixel, point: (point != NO_POINT).then_some(point) });
+            let keypoint = Keypoint { pixel, point: (point != NO_POINT).then_some(point) };
+            if keep(id, index as u32, keypoint) {
+                keypoints.push(keypoint);
+            }
         }
         Ok(ImageRecord { id, rotation, translation, camera_id, name, keypoints })
-    })?;
-    Ok(Reconstruction { cameras, images, ..Reconstruction::default() })
+    })
 }
 
 /// The points of `points3D.bin`.

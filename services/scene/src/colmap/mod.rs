@@ -7,6 +7,7 @@ mod binary;
 mod models;
 mod records;
 mod text;
+mod tracked;
 
 pub use crate::lens::CameraModel;
 pub use binary::write;
@@ -14,15 +15,31 @@ pub use models::MODEL_FOLDERS;
 pub(crate) use models::{find, numbered_photos};
 pub use records::{CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction};
 pub use text::write_text;
+pub(crate) use tracked::TrackedPixels;
 
 use crate::SceneError;
+use records::KeepFeature;
 use std::collections::HashMap;
 use std::path::Path;
 
 /// Reads a reconstruction from the folder that holds its files; `.bin` is preferred to `.txt`.
 /// The points are read in the other form where they are there in that alone; a folder without `points3D` gives no points.
 pub fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
-    read_as(dir, form(dir))
+    read_as(dir, form(dir), &mut |_, _, _| true)
+}
+
+/// Reads a reconstruction without features, and the pixels of the features that its points name: most features belong to no
+/// point, and those of a thousand photos would take more memory than the photos' training.
+pub(crate) fn read_tracked(dir: &Path) -> Result<(Reconstruction, TrackedPixels), SceneError> {
+    let form = form(dir);
+    let read = cameras(dir, form)?;
+    let points = points(dir, form)?;
+    let mut pixels = TrackedPixels::of(&points);
+    let images = images(dir, form, &mut |image, index, keypoint| {
+        pixels.put(image, index, keypoint.pixel);
+        false
+    })?;
+    Ok((Reconstruction { images, points, ..read }, pixels))
 }
 
 /// The form in which cameras and photos are read.
@@ -30,14 +47,33 @@ fn form(dir: &Path) -> &'static str {
     if has(dir, "bin") { "bin" } else { "txt" }
 }
 
-fn read_as(dir: &Path, form: &str) -> Result<Reconstruction, SceneError> {
-    let read = if form == "bin" { binary::read(dir)? } else { text::read(dir)? };
-    let points = match points_form(dir, form) {
-        Some("bin") => binary::points(dir)?,
-        Some(_) => text::points(dir)?,
-        None => Vec::new(),
-    };
-    Ok(Reconstruction { points, ..read })
+fn read_as(dir: &Path, form: &str, keep: &mut KeepFeature<'_>) -> Result<Reconstruction, SceneError> {
+    let read = cameras(dir, form)?;
+    let images = images(dir, form, keep)?;
+    Ok(Reconstruction { images, points: points(dir, form)?, ..read })
+}
+
+/// A reconstruction with its cameras alone.
+fn cameras(dir: &Path, form: &str) -> Result<Reconstruction, SceneError> {
+    if form == "bin" {
+        return Ok(Reconstruction { cameras: binary::cameras(dir)?, ..Reconstruction::default() });
+    }
+    let (cameras, unknown_cameras) = text::cameras(dir)?;
+    Ok(Reconstruction { cameras, unknown_cameras, ..Reconstruction::default() })
+}
+
+/// The photos of a reconstruction.
+fn images(dir: &Path, form: &str, keep: &mut KeepFeature<'_>) -> Result<Vec<ImageRecord>, SceneError> {
+    if form == "bin" { binary::images(dir, keep) } else { text::images(dir, keep) }
+}
+
+/// The points of a reconstruction whose cameras are of this form.
+fn points(dir: &Path, form: &str) -> Result<Vec<PointRecord>, SceneError> {
+    match points_form(dir, form) {
+        Some("bin") => binary::points(dir),
+        Some(_) => text::points(dir),
+        None => Ok(Vec::new()),
+    }
 }
 
 /// The form of the points of a reconstruction whose cameras are of this form: the same, if there are any in it.
@@ -69,7 +105,8 @@ pub(crate) fn stale(dir: &Path) -> Option<String> {
     if !(has(dir, "bin") && has(dir, "txt")) {
         return None;
     }
-    let differs = match (read_as(dir, "bin"), read_as(dir, "txt")) {
+    let read = |form| read_as(dir, form, &mut |_, _, _| false);
+    let differs = match (read("bin"), read("txt")) {
         (Ok(bin), Ok(text)) => difference(&bin, &text)?,
         (Ok(_), Err(error)) => error.to_string(),
         // Errors in the .bin are reported when it is read.

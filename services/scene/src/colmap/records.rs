@@ -26,6 +26,9 @@ pub struct Keypoint {
     pub point: Option<u64>,
 }
 
+/// Whether a feature is kept: by the id of its image, its index there, and itself.
+pub(super) type KeepFeature<'a> = dyn FnMut(u32, u32, Keypoint) -> bool + 'a;
+
 /// One photo of `images`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageRecord {

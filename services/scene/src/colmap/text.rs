@@ -1,6 +1,6 @@
 //! COLMAP's `.txt` files: a line per record, two per image; `#` starts a comment.
 
-use super::records::{CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction};
+use super::records::{CameraRecord, ImageRecord, KeepFeature, Keypoint, PointRecord, Reconstruction};
 use crate::SceneError;
 use crate::lens::CameraModel;
 use crate::text;
@@ -52,7 +52,11 @@ fn is_record(line: &str) -> bool {
     !line.is_empty() && !line.starts_with('#')
 }
 
-pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
+/// Cameras, and numbers of those whose model is not known here with its name.
+type ReadCameras = (Vec<CameraRecord>, Vec<(u32, String)>);
+
+/// The cameras of `cameras.txt`.
+pub(super) fn cameras(dir: &Path) -> Result<ReadCameras, SceneError> {
     let path = dir.join("cameras.txt");
     let text = text::read(&path)?;
     let (mut cameras, mut unknown_cameras) = (Vec::new(), Vec::new());
@@ -71,7 +75,11 @@ pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
         }
         cameras.push(CameraRecord { id, model, width, height, params });
     }
+    Ok((cameras, unknown_cameras))
+}
 
+/// The photos of `images.txt`, with those of their features for which `keep` returns true.
+pub(super) fn images(dir: &Path, keep: &mut KeepFeature<'_>) -> Result<Vec<ImageRecord>, SceneError> {
     let path = dir.join("images.txt");
     let text = text::read(&path)?;
     let mut images = Vec::new();
@@ -91,16 +99,21 @@ pub(super) fn read(dir: &Path) -> Result<Reconstruction, SceneError> {
         let mut keypoints = Vec::new();
         if let Some((i, line)) = lines.next() {
             let mut words = LineFields { path: &path, line: i + 1, rest: line };
+            let mut index = 0;
             while let Some(x) = words.word() {
                 let x = x.parse().map_err(|_| words.invalid(format!("`{x}` is no pixel position")))?;
                 let y = words.value("pixel position")?;
                 let point: i64 = words.value("point id")?;
-                keypoints.push(Keypoint { pixel: [x, y], point: u64::try_from(point).ok() });
+                let keypoint = Keypoint { pixel: [x, y], point: u64::try_from(point).ok() };
+                if keep(id, index, keypoint) {
+                    keypoints.push(keypoint);
+                }
+                index += 1;
             }
         }
         images.push(ImageRecord { id, rotation, translation, camera_id, name, keypoints });
     }
-    Ok(Reconstruction { cameras, unknown_cameras, images, points: Vec::new() })
+    Ok(images)
 }
 
 /// The points of `points3D.txt`.
