@@ -12,7 +12,7 @@ use segwild_vision::PromptSegmenter;
 pub(crate) const OBJECTS: &str = "objects";
 
 /// Raised when the bytes of a tree of the same input change.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// Name of the tree of a trained scene, whose boundaries `segmenter` finds.
 pub(crate) fn tree_key(geometry: &str, segmenter: &str) -> Key {
@@ -38,7 +38,7 @@ impl TreeSource<'_> {
     }
 
     /// Reads the tree from the cache, or grows it. `None` where the segmenter finds objects by itself. Photos that cannot be read,
-    /// and those held out, take no part.
+    /// those held out, and those that see nothing but what enough others see take no part.
     ///
     /// # Errors
     /// When the scene cannot be rendered, the cache cannot be read, or `stopping` returns true.
@@ -53,13 +53,20 @@ impl TreeSource<'_> {
         let mut builder = TreeBuilder::new(splats, self.model.options());
         let mut seen = false;
         let views = self.photos.scene().views.iter().enumerate();
-        for (index, view) in views.filter(|(_, view)| !view.test) {
+        let views: Vec<_> = views.filter(|(_, view)| !view.test).collect();
+        for (index, view) in TreeBuilder::order(views.len()).into_iter().map(|at| views[at]) {
             if stopping() {
                 return Err(RunError::Interrupted);
             }
+            let camera = view.camera.scaled_to(self.photos.long_side());
+            let (width, height) = (camera.width as usize, camera.height as usize);
+            let view = builder.see(&PosedView::from(view), width, height)?;
+            if !builder.needs(&view) {
+                continue;
+            }
             let Ok(photo) = self.photos.read(index) else { continue };
             let Some(boundaries) = self.segmenter.boundary_strengths(&photo.image)? else { return Ok(None) };
-            builder.add(&PosedView::from(view), &boundaries)?;
+            builder.add(view, &boundaries);
             seen = true;
         }
         if !seen || stopping() {

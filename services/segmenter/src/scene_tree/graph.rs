@@ -5,7 +5,7 @@ use super::tree::NONE;
 use crate::coverage::unoccluded;
 use crate::{NeighbourGraph, PosedView, SegmentError};
 use rayon::prelude::*;
-use segwild_raster::{Channels, CpuEngine, FrontLayer, NO_SPLAT, ProjectOptions, Rasterizer};
+use segwild_raster::{Channels, CpuEngine, Frame, FrontLayer, NO_SPLAT, ProjectOptions, Rasterizer};
 use segwild_scene::{Image, Splats};
 use segwild_vision::ContourTree;
 use segwild_vision::linkage::MergeTree;
@@ -43,9 +43,6 @@ const UNSEEN_QUANTILE: f64 = 0.75;
 /// Weight of an edge that no view sees, of 1 (method, section 13). By choice. IoU by half, half more: 0, -.007 on the demo.
 const UNSEEN_WEIGHT: f32 = 0.2;
 
-/// No region.
-const NOWHERE: u16 = u16::MAX;
-
 /// What a distance between splats is measured by.
 pub const CUES: usize = 3;
 
@@ -55,11 +52,35 @@ pub const CUES: usize = 3;
 /// and half more changed no measured click.
 const CUE_WEIGHTS: [[f32; 2]; CUES] = [[0.6, 0.6], [1.0, 0.0], [0.0, 1.0]];
 
-/// What one view says of splats, by one cue.
-struct ViewRegions {
-    /// Per splat, the region that holds the pixel of its largest share; [`NOWHERE`] where the view does not see it.
-    regions: Vec<u16>,
-    merges: MergeTree,
+/// Views that see a splat from which on it needs no more of them: the median over so many hardly moves. By choice: no scene on
+/// which the tree was measured has more photos.
+const ENOUGH_VIEWS: usize = 64;
+
+/// Share of the splats a view sees that must need it, for the view to be added. By choice.
+const MIN_NEEDED: f32 = 0.1;
+
+/// Views under which a splat needs more of them urgently, and the share of such splats that is enough for a view to be added. By
+/// choice.
+const FEW_VIEWS: usize = 8;
+const MIN_URGENT: f32 = 0.01;
+
+/// The regions of a view that hold the pixel of a splat's largest share, by each cue.
+#[derive(Clone, Copy, Debug)]
+struct RegionsInView {
+    /// Index of the view among those that were added.
+    view: u16,
+    regions: [u16; CUES],
+}
+
+/// What a view sees of the splats, whatever its photo shows.
+pub struct SplatsInView {
+    front: FrontLayer,
+    /// Inverse depth.
+    inverse: Frame,
+    /// Light in pixels that reaches the view from each splat.
+    light: Vec<f32>,
+    /// The splats that it sees, ascending.
+    seen: Vec<u32>,
 }
 
 /// The border between the fronts of two splats, summed over views; in pixel sides.
@@ -104,12 +125,16 @@ fn merged(mut borders: Vec<FrontBorder>) -> Vec<FrontBorder> {
     out
 }
 
-/// Collects views. It holds six bytes per splat and view, and 20 per pair of neighbouring fronts.
+/// Collects views. It holds eight bytes per splat and view that sees it, and 20 per pair of neighbouring fronts. Splats that many
+/// views see need no more of them ([`TreeBuilder::needs`]), so that its size does not grow with the photos of a scene.
 pub struct TreeBuilder<'a> {
     engine: CpuEngine,
     splats: &'a Splats,
     options: ProjectOptions,
-    views: Vec<[ViewRegions; CUES]>,
+    /// Per view, how its regions merge by each cue.
+    views: Vec<[MergeTree; CUES]>,
+    /// Per splat, the views that see it, in the order in which they were added.
+    sightings: Vec<Vec<RegionsInView>>,
     /// Light in pixels that the views see of each splat.
     light: Vec<f32>,
     /// Per splat, sides of its fronts on nothing, and on the frame.
@@ -149,6 +174,18 @@ pub struct SplatGraph {
 }
 
 impl<'a> TreeBuilder<'a> {
+    /// The order in which views are best offered, of so many: photos of one walk follow one another by name, so that many of them
+    /// are taken in wide steps, and the first already see the scene from everywhere.
+    pub fn order(views: usize) -> Vec<usize> {
+        if views <= ENOUGH_VIEWS {
+            return (0..views).collect();
+        }
+        let shares_no_factor = |step: &usize| (2..=*step).all(|d| step % d > 0 || views % d > 0);
+        // The golden section of the list: no short round of such steps comes back to where it began.
+        let step = (views * 618 / 1000..).find(shares_no_factor).expect("one of them is prime");
+        (0..views).map(|i| i * step % views).collect()
+    }
+
     /// Without views yet.
     pub fn new(splats: &'a Splats, options: ProjectOptions) -> TreeBuilder<'a> {
         TreeBuilder {
@@ -156,6 +193,7 @@ impl<'a> TreeBuilder<'a> {
             splats,
             options,
             views: Vec::new(),
+            sightings: vec![Vec::new(); splats.len()],
             light: vec![0.0; splats.len()],
             void: vec![0.0; splats.len()],
             frame: vec![0.0; splats.len()],
@@ -163,12 +201,11 @@ impl<'a> TreeBuilder<'a> {
         }
     }
 
-    /// Adds a view by the boundaries of its photo: one plane of strengths in [0, 1].
+    /// What a view sees of the splats, at the size of its boundaries in pixels.
     ///
     /// # Errors
     /// When it cannot be rendered.
-    pub fn add(&mut self, view: &PosedView, photo: &Image) -> Result<(), SegmentError> {
-        let (width, height) = (photo.width, photo.height);
+    pub fn see(&self, view: &PosedView, width: usize, height: usize) -> Result<SplatsInView, SegmentError> {
         let camera = view.camera.resized(width as u32, height as u32);
         let raster = || SegmentError::raster(&view.name);
         let (splats, options) = (self.splats, &self.options);
@@ -179,29 +216,44 @@ impl<'a> TreeBuilder<'a> {
             projected.depths().iter().map(|&z| if z > 0.0 { 1.0 / z } else { 0.0 }).collect();
         let inverse = projected.blend(&Channels { count: 1, values: &inverse }).map_err(raster())?;
         drop(projected);
-        let edges = depth_edges(&inverse);
         let whole = unoccluded(splats, &camera, &view.pose, options);
-        let seen: Vec<bool> = (0..splats.len())
-            .map(|i| front.shares[i] > MIN_FRONT_SHARE && light[i] > MIN_LIGHT_SHARE * whole[i])
-            .collect();
-        let views: Vec<ViewRegions> = CUE_WEIGHTS
+        let sees = |&i: &usize| front.shares[i] > MIN_FRONT_SHARE && light[i] > MIN_LIGHT_SHARE * whole[i];
+        let seen = (0..splats.len()).filter(sees).map(|i| i as u32).collect();
+        Ok(SplatsInView { front, inverse, light, seen })
+    }
+
+    /// Whether enough of the splats that a view sees are seen by few of the views that were added.
+    pub fn needs(&self, view: &SplatsInView) -> bool {
+        let seen = view.seen.len().max(1) as f32;
+        let fewer = |views: usize| {
+            let known = |&&i: &&u32| self.sightings[i as usize].len() < views;
+            view.seen.iter().filter(known).count() as f32 / seen
+        };
+        fewer(ENOUGH_VIEWS) >= MIN_NEEDED || fewer(FEW_VIEWS) >= MIN_URGENT
+    }
+
+    /// Adds a view with the boundaries of its photo: one plane of strengths in [0, 1]. A view with 65,535 regions and more says
+    /// nothing of its splats, nor does any after so many views.
+    pub fn add(&mut self, view: SplatsInView, photo: &Image) {
+        let SplatsInView { front, inverse, light, seen } = view;
+        let edges = depth_edges(&inverse);
+        let trees: Vec<ContourTree> = CUE_WEIGHTS
             .par_iter()
-            .map(|weights| {
-                let tree = ContourTree::of(&combined([(weights[0], photo), (weights[1], &edges)]));
-                let numbered = tree.merges.leaves < usize::from(NOWHERE);
-                let region = |i: usize| match seen[i] && numbered {
-                    true => tree.labels[front.pixels[i] as usize] as u16,
-                    false => NOWHERE,
-                };
-                ViewRegions { regions: (0..splats.len()).map(region).collect(), merges: tree.merges }
-            })
+            .map(|weights| ContourTree::of(&combined([(weights[0], photo), (weights[1], &edges)])))
             .collect();
-        self.views.extend(views.try_into());
-        for (i, light) in light.iter().enumerate().filter(|(i, _)| seen[*i]) {
-            self.light[i] += light;
+        let countable = trees.iter().all(|tree| tree.merges.leaves <= usize::from(u16::MAX));
+        if let Some(number) = u16::try_from(self.views.len()).ok().filter(|_| countable) {
+            for &i in &seen {
+                let pixel = front.pixels[i as usize] as usize;
+                let regions = std::array::from_fn(|cue| trees[cue].labels[pixel] as u16);
+                self.sightings[i as usize].push(RegionsInView { view: number, regions });
+            }
+            self.views.extend(trees.into_iter().map(|tree| tree.merges).collect::<Vec<_>>().try_into());
+        }
+        for &i in &seen {
+            self.light[i as usize] += light[i as usize];
         }
         self.add_borders(&front, &inverse.image, &edges);
-        Ok(())
     }
 
     /// Adds the sides of the fronts of a view.
@@ -287,22 +339,27 @@ impl<'a> TreeBuilder<'a> {
 
     /// Per cue, the median over the views that see both splats of the height at which their regions merge.
     fn distances(&self, a: u32, b: u32) -> Option<[f32; CUES]> {
-        let both = |views: &&[ViewRegions; CUES]| {
-            views[0].regions[a as usize] != NOWHERE && views[0].regions[b as usize] != NOWHERE
-        };
-        let views: Vec<&[ViewRegions; CUES]> = self.views.iter().filter(both).collect();
-        let median = |cue: usize| {
-            let height = |views: &&[ViewRegions; CUES]| {
-                let ViewRegions { regions, merges } = &views[cue];
-                merges.height[merges.meet(regions[a as usize].into(), regions[b as usize].into()) as usize]
-            };
-            let mut heights: Vec<f32> = views.iter().map(height).collect();
-            heights.sort_unstable_by(f32::total_cmp);
-            let n = heights.len();
-            0.5 * (heights[(n - 1) / 2] + heights[n / 2])
-        };
-        (!views.is_empty()).then(|| std::array::from_fn(median))
+        let (a, b) = (&self.sightings[a as usize], &self.sightings[b as usize]);
+        let mut heights: [Vec<f32>; CUES] = Default::default();
+        // Both lists are in the order of the views.
+        let mut others = b.iter().peekable();
+        for at in a {
+            while others.next_if(|other| other.view < at.view).is_some() {}
+            let Some(other) = others.next_if(|other| other.view == at.view) else { continue };
+            for (cue, merges) in self.views[usize::from(at.view)].iter().enumerate() {
+                let meet = merges.meet(at.regions[cue].into(), other.regions[cue].into());
+                heights[cue].push(merges.height[meet as usize]);
+            }
+        }
+        (!heights[0].is_empty()).then(|| heights.map(median))
     }
+}
+
+/// The median of at least one number.
+fn median(mut of: Vec<f32>) -> f32 {
+    of.sort_unstable_by(f32::total_cmp);
+    let n = of.len();
+    0.5 * (of[(n - 1) / 2] + of[n / 2])
 }
 
 /// Splats that take no part follow the nearest neighbour that has a node.
@@ -330,4 +387,23 @@ fn followers(mut node: Vec<u32>, neighbours: &NeighbourGraph) -> Vec<u32> {
 pub(super) fn quantile(mut of: Vec<f32>, share: f64) -> f32 {
     let at = (of.len().saturating_sub(1) as f64 * share).round() as usize;
     if of.is_empty() { 0.0 } else { *of.select_nth_unstable_by(at, f32::total_cmp).1 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn views_are_offered_once_each_and_many_of_them_spread_over_the_list() {
+        for views in [0, 1, 64, 65, 66, 100, 1000, 1009] {
+            let mut order = TreeBuilder::order(views);
+            if views > ENOUGH_VIEWS {
+                let mut first = order[..20].to_vec();
+                first.sort_unstable();
+                assert!(first.windows(2).all(|pair| pair[1] - pair[0] <= views / 8), "{views}: {first:?}");
+            }
+            order.sort_unstable();
+            assert!(order.into_iter().eq(0..views), "{views}");
+        }
+    }
 }

@@ -44,7 +44,10 @@ fn boundaries(world: &TestWorld, view: &PosedView, missing: bool) -> Image {
 fn tree(world: &TestWorld, views: &[PosedView], missing: usize) -> SceneTree {
     let mut builder = TreeBuilder::new(&world.splats, options());
     for (i, view) in views.iter().enumerate() {
-        builder.add(view, &boundaries(world, view, i < missing)).unwrap();
+        let boundaries = boundaries(world, view, i < missing);
+        let seen = builder.see(view, boundaries.width, boundaries.height).unwrap();
+        assert!(builder.needs(&seen), "few views are all needed");
+        builder.add(seen, &boundaries);
     }
     builder.grow()
 }
@@ -183,7 +186,8 @@ fn no_view_and_no_splat_make_a_tree_without_groups() {
     assert!(none.fits(world.len()) && none.leaf.iter().all(|&leaf| leaf == NONE));
     let nothing = TestWorld::default();
     let mut builder = TreeBuilder::new(&nothing.splats, options());
-    builder.add(&cameras(1.0)[0], &Image::zeros(160, 120, 1)).unwrap();
+    let seen = builder.see(&cameras(1.0)[0], 160, 120).unwrap();
+    builder.add(seen, &Image::zeros(160, 120, 1));
     assert!(builder.grow().fits(0));
 }
 
@@ -208,4 +212,24 @@ fn a_front_layer_names_the_nearest_opaque_splat_of_each_pixel() {
         let sum: f32 = shares.iter().sum();
         assert!((front.alpha.data[pixel] - sum).abs() < 1e-4);
     }
+}
+
+#[test]
+fn many_photos_of_one_wall_are_not_all_needed_and_one_of_another_wall_is() {
+    let (mut world, mut dice) = (TestWorld::default(), TestRandom(7));
+    for (thing, z) in [(0, 4.0), (1, -4.0)] {
+        world.wall(thing, Vec3::new(0.0, 0.0, z), 2.6, 24, GREY, &mut dice);
+    }
+    let views = [4.0, -4.0].map(|z| posed("photo.jpg", Vec3::ZERO, Vec3::new(0.0, 0.0, z)));
+    let mut builder = TreeBuilder::new(&world.splats, options());
+    let mut added = 0;
+    for _ in 0..100 {
+        let seen = builder.see(&views[0], 80, 60).unwrap();
+        if builder.needs(&seen) {
+            builder.add(seen, &Image::zeros(80, 60, 1));
+            added += 1;
+        }
+    }
+    assert_eq!(added, 64);
+    assert!(builder.needs(&builder.see(&views[1], 80, 60).unwrap()));
 }
