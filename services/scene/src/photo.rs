@@ -144,10 +144,18 @@ impl View {
     /// # Errors
     /// Also when its masks leave nothing of it, or all of it is transparent.
     pub fn examine(&self, long_side: u32) -> Result<Option<String>, SceneError> {
+        self.examine_as(|| self.load(EXAMINED.min(long_side)))
+    }
+
+    /// [`View::examine`] of the photo as somebody loads it.
+    pub(crate) fn examine_as(
+        &self,
+        load: impl FnOnce() -> Result<LoadedPhoto, SceneError>,
+    ) -> Result<Option<String>, SceneError> {
         let path = &self.photo.path;
         let (head, _) = self.head().map_err(|e| self.photo_error(path, e))?;
         let odd = head.check_data(path).map_err(|e| self.photo_error(path, e))?;
-        let nothing_left = self.load(EXAMINED.min(long_side))?.valid.is_some_and(|valid| valid.is_empty());
+        let nothing_left = load()?.valid.is_some_and(|valid| valid.is_empty());
         match (nothing_left, self.masks().next().is_some()) {
             (true, true) => Err(self.photo_error(path, PhotoError::MaskedOut)),
             (true, false) => Err(self.photo_error(path, PhotoError::Transparent)),

@@ -1,9 +1,9 @@
 //! The photos of a scene at one size: decoded once for all who need a photo at about the same time.
 //!
 //! The stages of a run need the same photos at different times: for the sky, the embedding, the masks, the training, the
-//! scene tree, the evaluation. All of them read through one store.
+//! scene tree, the evaluation. All of them read through one store. A store may have a cache, in which photos outlast it.
 
-use crate::{LoadedPhoto, Scene, SceneError};
+use crate::{LoadedPhoto, PackedPhoto, PhotoCache, Scene, SceneError, View};
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -12,6 +12,7 @@ pub struct PhotoStore {
     scene: Arc<Scene>,
     long_side: u32,
     most_bytes: usize,
+    cache: Option<Arc<dyn PhotoCache>>,
     held: Mutex<HeldPhotos>,
     decoded: Condvar,
 }
@@ -30,7 +31,15 @@ impl PhotoStore {
     /// The photos of a scene with a long side of at most `long_side` pixels. Up to `most_bytes` of them are kept; the
     /// photo that was read last is kept whatever its size, unless it is 0.
     pub fn new(scene: Arc<Scene>, long_side: u32, most_bytes: usize) -> PhotoStore {
-        PhotoStore { scene, long_side, most_bytes, held: Mutex::default(), decoded: Condvar::new() }
+        let (held, decoded) = (Mutex::default(), Condvar::new());
+        PhotoStore { scene, long_side, most_bytes, cache: None, held, decoded }
+    }
+
+    /// The store with a cache. Photos whose files are much larger than what is used of them are kept there as well, so that a
+    /// file is decoded once whatever the memory.
+    #[must_use]
+    pub fn with_cache(self, cache: Arc<dyn PhotoCache>) -> PhotoStore {
+        PhotoStore { cache: Some(cache), ..self }
     }
 
     /// The scene.
@@ -48,7 +57,7 @@ impl PhotoStore {
         self.held().bytes
     }
 
-    /// A photo, as [`View::load`](crate::View::load) decodes it. Whoever comes while it is decoded waits for it.
+    /// A photo, as [`View::load`] decodes it. Whoever comes while it is decoded waits for it.
     ///
     /// # Errors
     /// When its file cannot be read, or is not the one any more that it was when the scene was opened. Nothing is kept
@@ -74,9 +83,41 @@ impl PhotoStore {
         held.in_work.push(view);
         drop(held);
         let work = InWork { store: self, view };
-        let photo = Arc::new(view_of.load(self.long_side)?);
+        let photo = Arc::new(self.load(view)?);
         self.held().keep(view, &photo, self.most_bytes);
         drop(work);
+        Ok(photo)
+    }
+
+    /// What [`View::examine`] finds. A photo that the cache keeps is put there, so that it is not decoded for this alone.
+    ///
+    /// # Errors
+    /// As [`View::examine`].
+    pub fn examine(&self, view: usize) -> Result<Option<String>, SceneError> {
+        let of = &self.scene.views[view];
+        match self.cache_of(of) {
+            Some(_) => of.examine_as(|| self.load(view)),
+            None => of.examine(self.long_side),
+        }
+    }
+
+    /// The cache, if it keeps this photo.
+    fn cache_of(&self, view: &View) -> Option<&dyn PhotoCache> {
+        self.cache.as_deref().filter(|_| view.is_larger_than(self.long_side))
+    }
+
+    /// Reads a photo from the cache, or decodes it.
+    fn load(&self, view: usize) -> Result<LoadedPhoto, SceneError> {
+        let of = &self.scene.views[view];
+        let Some(cache) = self.cache_of(of) else { return of.load(self.long_side) };
+        let kept =
+            cache.photo(view).and_then(|photo| photo.unpack(of.camera.scaled_to(self.long_side.max(1))));
+        if let Some(photo) = kept {
+            of.intact()?;
+            return Ok(photo);
+        }
+        let photo = of.load(self.long_side)?;
+        cache.keep(view, &PackedPhoto::of(&photo));
         Ok(photo)
     }
 

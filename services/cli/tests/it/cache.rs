@@ -302,3 +302,31 @@ fn a_damaged_transient_mask_is_named_by_verify_and_by_segment() {
     assert!(output.status.success(), "{stdout}");
     assert!(stdout.contains(&show(&file)) && stdout.contains("is passed over"), "{stdout}");
 }
+
+#[test]
+fn a_photo_much_larger_than_it_is_used_is_kept_in_the_cache_and_a_run_without_that_is_the_same() {
+    let dir = folder();
+    let (kept, decoded) = (dir.path().join("kept"), dir.path().join("decoded"));
+    // The photos have 96 pixels.
+    let small = |out: &Path, until: &str| {
+        completes(&again(out, &["--size", "40", "--steps", "20", "--until", until]))
+    };
+    small(&kept, "geometry");
+    let line = |run: &Path| {
+        let lines = lines(&works(&["cache", "ls", &show(run), "--json"]));
+        lines.into_iter().find(|line| line["kind"] == "photo")
+    };
+    assert_eq!(line(&kept).expect("photos")["files"], 10);
+    // Where a folder of the cache cannot be made, photos are decoded whenever they are needed.
+    std::fs::create_dir_all(decoded.join("cache")).expect("a folder");
+    std::fs::write(decoded.join("cache/photo.d"), "in the way").expect("a file");
+    small(&decoded, "geometry");
+    assert_eq!(line(&decoded), None);
+    let model = |run: &Path| std::fs::read(run.join("model.bin")).expect("a model");
+    assert!(model(&kept) == model(&decoded), "a photo from the cache is another one");
+    // Damaged ones are decoded again, by a run that needs them.
+    damage(&kept, "photo");
+    let (_, stderr) = small(&kept, "masks");
+    assert_eq!(stderr.matches("the cache's record of a photo was damaged").count(), 1, "{stderr}");
+    assert!(works(&["cache", "verify", &show(&kept)]).contains("0 damaged"));
+}

@@ -14,7 +14,7 @@ use segwild_features::{Compression, FeatureSettings};
 use segwild_flow::Key;
 use segwild_masks::{MaskSettings, MaskSource};
 use segwild_scene::settings::Group;
-use segwild_scene::{ImportedSplats, Scene, SceneError, View};
+use segwild_scene::{ImportedSplats, PhotoStore, Scene, SceneError, View};
 use segwild_trainer::{AppearanceModel, TrainSettings};
 use segwild_vision::Providers;
 use std::collections::BTreeSet;
@@ -154,39 +154,42 @@ pub struct Digests {
 }
 
 impl Digests {
-    /// Reads and decodes every photo once.
+    /// Examines every photo of the store; `digest` is [`photo_digest`] of a view.
     ///
     /// # Errors
     /// [`RunError::Interrupted`] when `stopping` returns true: many large photos take a while. When imported splats or the
     /// weights of LPIPS cannot be read.
     pub fn read(
-        scene: &Scene,
+        photos: &PhotoStore,
+        digest: &(dyn Fn(usize) -> Result<String, SceneError> + Sync),
         settings: &Settings,
         stopping: &(dyn Fn() -> bool + Sync),
     ) -> Result<Digests, RunError> {
+        let scene = photos.scene();
         let lpips = LpipsFile::of(settings)?;
         let limit = memory::decoding_limit(settings, scene);
-        let examine = |view: &View| -> Result<(String, Option<String>), PhotoRefusal> {
+        let examine = |(i, view): (usize, &View)| -> Result<(String, Option<String>), PhotoRefusal> {
             memory::fits_budget(settings, view, limit)?;
-            let digest = photo_digest(view)?;
-            let odd = view.examine(settings.scene.size)?;
+            let digest = digest(i)?;
+            let odd = photos.examine(i)?;
             Ok((digest, odd.map(|odd| format!("photo {}: {odd}", view.name))))
         };
-        let (mut photos, mut odd) = (Vec::new(), Vec::new());
-        let until_stopped = scene.views.par_iter().map(|view| (!stopping()).then(|| examine(view)));
+        let (mut digests, mut odd) = (Vec::new(), Vec::new());
+        let examined = scene.views.par_iter().enumerate();
+        let until_stopped = examined.map(|view| (!stopping()).then(|| examine(view)));
         let all: Option<Vec<_>> = until_stopped.collect();
         let all = all.filter(|_| !stopping()).ok_or(RunError::Interrupted)?;
         for examined in all {
             match examined {
                 Ok((digest, words)) => {
-                    photos.push(Ok(digest));
+                    digests.push(Ok(digest));
                     odd.extend(words);
                 }
-                Err(refusal) => photos.push(Err(Arc::new(refusal))),
+                Err(refusal) => digests.push(Err(Arc::new(refusal))),
             }
         }
         let imported = scene.imported.as_ref().map(ImportedSplats::digest).transpose()?;
-        Ok(Digests { photos, imported, lpips, odd })
+        Ok(Digests { photos: digests, imported, lpips, odd })
     }
 
     /// Leaves out the photos whose corrected transient mask cannot be used.
@@ -224,17 +227,7 @@ impl Keys {
     ) -> Keys {
         let photo = |domain: &'static str, i: usize, model: &str| {
             let digest = digests[i].as_ref().map_or("unreadable", String::as_str);
-            let key = Key::of(domain)
-                .part("photo", digest)
-                .value("format", FORMAT)
-                .value("size", settings.scene.size)
-                .part("camera", format!("{:?} {:?}", scene.views[i].camera, scene.views[i].photo.lens))
-                .part("model", model);
-            // Only cut-outs have this part, so that the keys of other photos stay as they were.
-            match scene.views[i].photo.reading.empty {
-                true => key.part("transparent", "empty").finish(),
-                false => key.finish(),
-            }
+            photo_key(domain, digest, &scene.views[i], settings.scene.size, model)
         };
         let views = 0..scene.views.len();
         let sky: Vec<Key> = views
@@ -484,9 +477,24 @@ pub(crate) fn history_of(geometry: &str) -> Key {
     Key::of("history").part("geometry", geometry).finish()
 }
 
+/// The key of what a model makes of a photo at a long side of `size` pixels.
+pub(crate) fn photo_key(domain: &'static str, digest: &str, view: &View, size: u32, model: &str) -> Key {
+    let key = Key::of(domain)
+        .part("photo", digest)
+        .value("format", FORMAT)
+        .value("size", size)
+        .part("camera", format!("{:?} {:?}", view.camera, view.photo.lens))
+        .part("model", model);
+    // Only cut-outs have this part, so that the keys of other photos stay as they were.
+    match view.photo.reading.empty {
+        true => key.part("transparent", "empty").finish(),
+        false => key.finish(),
+    }
+}
+
 /// The photo's bytes and those of its masks. A mask of what to keep is marked as one: with the same file as the mask of what to
 /// ignore, something else is made. So is a photo that is turned where its size does not ask for it.
-fn photo_digest(view: &View) -> Result<String, SceneError> {
+pub(crate) fn photo_digest(view: &View) -> Result<String, SceneError> {
     let mut digest = view.digest()?;
     for (label, mask) in [("", &view.photo.ignore), ("keep", &view.photo.usable)] {
         let Some(mask) = mask else { continue };

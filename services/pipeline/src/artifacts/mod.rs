@@ -9,6 +9,7 @@ pub(crate) mod images;
 pub(crate) mod intact;
 pub(crate) mod keys;
 pub(crate) mod lpips;
+pub(crate) mod photo_cache;
 pub(crate) mod recompute;
 pub(crate) mod region_cache;
 pub(crate) mod scene_tree;

@@ -26,7 +26,7 @@ use crate::transients::TrainFit;
 use crate::{RunError, RunFolder};
 use segwild_flow::{ActorFailure, Cache, Event, Events, Key, Report};
 use segwild_masks::{MaskMaker, sasm};
-use segwild_scene::{PhotoStore, Scene};
+use segwild_scene::Scene;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -118,7 +118,7 @@ fn context<'a>(
     let names = Arc::new(Mutex::new(keys.clone()));
     warn_of_damage(cache, &names, scene, &options.events);
     let memory = settings.run.photo_memory as usize * (1 << 20);
-    let photos = Arc::new(PhotoStore::new(scene.clone(), settings.scene.size, memory));
+    let photos = Arc::new(prepared.photos.store(memory));
     let recompute = Recompute { scene: scene.clone(), cache: cache.clone(), events: options.events.clone() };
     let maker = MaskMaker {
         photos: photos.clone(),

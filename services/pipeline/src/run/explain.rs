@@ -6,7 +6,7 @@
 use super::poses::scene_or_photos;
 use super::prepare::UNTIL_STEP;
 use super::stage::Stage;
-use crate::artifacts::keys::{Digests, End, Keys, TrainingOrigin};
+use crate::artifacts::keys::{Digests, End, Keys, TrainingOrigin, photo_digest};
 use crate::code;
 use crate::run::choice;
 use crate::run::continued::ContinuedTraining;
@@ -14,11 +14,12 @@ use crate::transients::Corrections;
 use crate::{RunError, RunFolder, Settings, Until, choose_engine};
 use segwild_flow::ledger::{StageRow, State};
 use segwild_flow::{Cache, Ledger, files};
-use segwild_scene::Scene;
+use segwild_scene::{PhotoStore, Scene};
 use segwild_vision::{NetworkFile, Providers, VisionSettings};
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::Path;
+use std::sync::Arc;
 
 /// What a run would do with a stage.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -71,7 +72,7 @@ pub struct StagePlan {
 
 /// A run's scene and the keys that follow from its settings.
 struct Situation {
-    scene: Scene,
+    scene: Arc<Scene>,
     keys: Keys,
     networks: Vec<NetworkFile>,
     /// The photos whose transients were corrected by hand, in words.
@@ -102,7 +103,11 @@ fn situation(
     let engine = choose_engine(&settings.run, drop)?.engine;
     let corrections = Corrections::find(&scene, folder, &settings.scene.transient_masks)?;
     let corrected = corrections.in_words(&scene);
-    let digests = Digests::read(&scene, settings, &|| false)?.without(&corrections);
+    let scene = Arc::new(scene);
+    // Without a cache: to explain a run changes nothing.
+    let photos = PhotoStore::new(scene.clone(), settings.scene.size, 0);
+    let digest = |view: usize| photo_digest(&scene.views[view]);
+    let digests = Digests::read(&photos, &digest, settings, &|| false)?.without(&corrections);
     let named = |settings: &Settings, corrections: &Corrections, end: &End| {
         Keys::of(&scene, digests.clone(), settings, &providers, corrections, engine.name(), end)
     };

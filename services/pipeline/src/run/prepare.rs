@@ -11,6 +11,7 @@ use crate::artifacts::folder::Intake;
 use crate::artifacts::images::ImageFiles;
 use crate::artifacts::keys::{Digests, End};
 use crate::artifacts::lpips::LpipsFile;
+use crate::artifacts::photo_cache::RunPhotoCache;
 use crate::artifacts::region_cache::InCache;
 use crate::code;
 use crate::engine::{ChosenEngine, choose_engine};
@@ -40,6 +41,8 @@ pub struct PreparedRun {
     _sink: Sink,
     pub ledger: Ledger,
     pub scene: Arc<Scene>,
+    /// Its photos in the run's cache.
+    pub photos: Arc<RunPhotoCache>,
     pub intake: Intake,
     /// The settings, with what the scene and the memory budget decide.
     pub settings: Settings,
@@ -123,7 +126,9 @@ pub fn prepare(
     if let Some(words) = corrections.in_words(&scene) {
         events.info(Some("ingest"), words);
     }
-    let digests = examine(&path, &scene, &settings, &corrections, options)?;
+    let photos = Arc::new(RunPhotoCache::new(folder.cache()?, &scene, settings.scene.size));
+    photos.warn_of_damage(events);
+    let digests = examine(&path, &scene, &photos, &settings, &corrections, options)?;
     let end = End::of(options.until);
     Ok(PreparedRun {
         began,
@@ -132,6 +137,7 @@ pub fn prepare(
         _sink: sink,
         ledger,
         scene,
+        photos,
         intake,
         settings,
         steps_open,
@@ -224,12 +230,14 @@ fn engine_of(settings: &Settings, scene: &Scene, options: &RunOptions) -> Result
 fn examine(
     path: &Path,
     scene: &Scene,
+    photos: &Arc<RunPhotoCache>,
     settings: &Settings,
     corrections: &Corrections,
     options: &RunOptions,
 ) -> Result<Digests, RunError> {
     let stopping = || options.stopper.phase() != Phase::Running;
-    let digests = Digests::read(scene, settings, &stopping)?.without(corrections);
+    let digest = |view: usize| photos.digest(view);
+    let digests = Digests::read(&photos.store(0), &digest, settings, &stopping)?.without(corrections);
     if let Some(first) = digests.nothing_left(scene) {
         let reason = format!("no photo can be trained on; of the first: {first}");
         return Err(SceneError::NothingUsable { path: path.to_owned(), reason }.into());

@@ -5,6 +5,7 @@ use super::prompts::check_all;
 use crate::accelerator::leased;
 use crate::artifacts::folder::{Loaded, TrainingSnapshot};
 use crate::artifacts::images::ImageFiles;
+use crate::artifacts::photo_cache::RunPhotoCache;
 use crate::artifacts::scene_tree::TreeSource;
 use crate::code::{Code, providers_for};
 use crate::output::light::{self, find};
@@ -13,7 +14,7 @@ use crate::run::skies;
 use crate::{
     ObjectQuery, PhotoPrompts, Replay, RunError, RunFolder, Settings, choose_engine, log_loss, transients,
 };
-use segwild_flow::{ActorOptions, Limits, Phase, Sender, Stopper, System, SystemOptions, mailbox};
+use segwild_flow::{ActorOptions, Cache, Limits, Phase, Sender, Stopper, System, SystemOptions, mailbox};
 use segwild_objective::Engine;
 use segwild_scene::{PhotoStore, Prompts, ReaderError, Scene};
 use segwild_segmenter::scene_tree::{GroupCandidate, SceneTree};
@@ -120,7 +121,10 @@ impl Session {
             None => None,
         };
         let scene = Arc::new(scene);
-        let photos = Arc::new(PhotoStore::new(scene.clone(), size, PHOTO_BYTES));
+        // A folder that cannot be written is no obstacle: its photos are decoded again.
+        let cache = Cache::at(folder.path().join("cache"));
+        let cached = Arc::new(RunPhotoCache::new(cache, &scene, size));
+        let photos = Arc::new(cached.store(PHOTO_BYTES));
         let tree = match training.as_ref().filter(|_| tree) {
             Some(geometry) => {
                 let segmenter = &*providers.segmenter;

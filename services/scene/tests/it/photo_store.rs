@@ -1,8 +1,9 @@
 //! The store of photos: one decoding for all readers, a bound on what is kept, and files that change meanwhile.
 
 use crate::common::{SIZE, line, open, write, write_photo};
-use segwild_scene::{PhotoStore, SceneError};
-use std::sync::{Arc, Barrier};
+use segwild_scene::{PackedPhoto, PhotoCache, PhotoStore, SceneError};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Barrier, Mutex};
 
 /// Bytes of a photo of [`SIZE`].
 const PHOTO: usize = 4 * 3 * SIZE.0 * SIZE.1;
@@ -79,4 +80,63 @@ fn a_photo_that_cannot_be_read_fails_for_every_reader_and_none_waits_for_ever() 
     // The others are as before.
     write_photo(dir.path(), "unrelated.png");
     assert!(store.read(0).is_ok());
+}
+
+/// A cache in memory.
+#[derive(Default)]
+struct InMemory(Mutex<BTreeMap<usize, PackedPhoto>>);
+
+impl PhotoCache for InMemory {
+    fn photo(&self, view: usize) -> Option<PackedPhoto> {
+        self.0.lock().unwrap().get(&view).cloned()
+    }
+
+    fn keep(&self, view: usize, photo: &PackedPhoto) {
+        self.0.lock().unwrap().insert(view, photo.clone());
+    }
+}
+
+/// A store without memory, with a cache, of photos that are used at a long side of so many pixels.
+fn cached(dir: &std::path::Path, long_side: u32) -> (PhotoStore, Arc<InMemory>) {
+    write(dir, &line(4));
+    let (scene, cache) = (Arc::new(open(dir).unwrap()), Arc::new(InMemory::default()));
+    (PhotoStore::new(scene, long_side, 0).with_cache(cache.clone()), cache)
+}
+
+#[test]
+fn a_large_photo_is_decoded_once_and_is_the_same_from_the_cache() {
+    let dir = tempfile::tempdir().unwrap();
+    let half = SIZE.0 as u32 / 2;
+    let (store, cache) = cached(dir.path(), half);
+    let decoded = store.scene().views[0].load(half).unwrap();
+    assert_eq!(*store.read(0).unwrap(), decoded);
+    assert_eq!(cache.photo(0), Some(PackedPhoto::of(&decoded)));
+    // What the cache holds is what is read: it is not decoded again.
+    let black = segwild_scene::Image::zeros(decoded.image.width, decoded.image.height, 3);
+    let other = PackedPhoto::of(&segwild_scene::LoadedPhoto { image: black, ..decoded });
+    cache.keep(0, &other);
+    assert_eq!(PackedPhoto::of(&store.read(0).unwrap()), other);
+    // To examine a photo is to read it.
+    assert!(store.examine(1).unwrap().is_none() && cache.photo(1).is_some());
+    // A record of another size is no photo of this store.
+    cache.keep(2, &PackedPhoto::of(&store.scene().views[2].load(half / 2).unwrap()));
+    assert_eq!(*store.read(2).unwrap(), store.scene().views[2].load(half).unwrap());
+}
+
+#[test]
+fn a_photo_of_about_the_size_that_is_used_takes_no_space_in_the_cache() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, cache) = cached(dir.path(), SIZE.0 as u32 * 3 / 4);
+    store.read(0).unwrap();
+    assert!(store.examine(1).unwrap().is_none() && cache.0.lock().unwrap().is_empty());
+}
+
+#[test]
+fn a_photo_that_has_changed_is_not_read_from_the_cache() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, _) = cached(dir.path(), SIZE.0 as u32 / 2);
+    store.read(1).unwrap();
+    std::fs::remove_file(dir.path().join("images/photo01.png")).unwrap();
+    let refused = store.read(1).unwrap_err();
+    assert!(matches!(&refused, SceneError::Changed { name, .. } if name == "photo01.png"), "{refused}");
 }
