@@ -1,5 +1,6 @@
 //! The `segwild` program: reads the command line, calls the pipeline, prints what happened in words.
 
+mod allocator;
 mod args;
 mod commands;
 mod exit;
@@ -37,6 +38,7 @@ fn refused(error: &clap::Error) -> ExitCode {
 }
 
 fn main() -> ExitCode {
+    allocator::share_heaps();
     // A layer of Mesa asks the desktop which GPU it draws on, and complains on stderr where there is none. The order
     // of adapters is our own (`segwild_gpu::adapters`).
     // SAFETY: no other thread runs yet.
