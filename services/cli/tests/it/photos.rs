@@ -15,7 +15,7 @@ fn disturbed(scene: &Path, run: &Path, disturb: impl FnOnce()) -> Output {
 
 /// A training that takes a while, with room for no photo.
 fn long(scene: &Path, run: &Path) -> Vec<String> {
-    let mut args = again(run, &["--steps", "1500", "--checkpoint-every", "1", "--photo-cache-mib", "0"]);
+    let mut args = again(run, &["--steps", "700", "--checkpoint-every", "1", "--photo-cache-mib", "0"]);
     args[1] = show(scene);
     args
 }
