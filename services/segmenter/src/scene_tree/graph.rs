@@ -180,7 +180,8 @@ impl<'a> TreeBuilder<'a> {
         if views <= ENOUGH_VIEWS {
             return (0..views).collect();
         }
-        let shares_no_factor = |step: &usize| (2..=*step).all(|d| step % d > 0 || views % d > 0);
+        let shares_no_factor =
+            |step: &usize| !(2..=*step).any(|d| step.is_multiple_of(d) && views.is_multiple_of(d));
         // The golden section of the list: no short round of such steps comes back to where it began.
         let step = (views * 618 / 1000..).find(shares_no_factor).expect("one of them is prime");
         (0..views).map(|i| i * step % views).collect()

@@ -57,7 +57,7 @@ pub fn write_report(folder: &RunFolder) -> Result<Vec<Skipped>, RunError> {
     Ok(left_out)
 }
 
-/// What the pictures below are of, and which provider made the masks.
+/// What the images below are of, and which provider made the masks.
 fn lead(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
     let intake = folder.intake()?;
     let by = match intake.provider.as_str() {
