@@ -233,7 +233,7 @@ impl<'a> TreeBuilder<'a> {
         fewer(ENOUGH_VIEWS) >= MIN_NEEDED || fewer(FEW_VIEWS) >= MIN_URGENT
     }
 
-    /// Adds a view with the boundaries of its photo: one plane of strengths in [0, 1]. A view with 65,535 regions and more says
+    /// Adds a view with the boundaries of its photo: one plane of strengths in [0, 1]. A view with more than 65,535 regions says
     /// nothing of its splats, nor does any after so many views.
     pub fn add(&mut self, view: SplatsInView, photo: &Image) {
         let SplatsInView { front, inverse, light, seen } = view;
