@@ -82,8 +82,14 @@ fn main() -> Result<(), Box<dyn Error>> {
             true => truths[first].clone(),
             false => segmenter.segment(&photos[first], &prompts)?.mask,
         };
-        let prompted =
-            [PromptedView { view: first, mask: &mask, open: None, points: &points, refused: false }];
+        let prompted = [PromptedView {
+            view: first,
+            mask: &mask,
+            open: None,
+            points: &points,
+            refused: false,
+            boxes: &[],
+        }];
         let request = Request {
             rasterizer: &engine,
             backend: &engine,

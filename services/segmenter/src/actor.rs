@@ -187,7 +187,7 @@ impl SegmentActor {
                 .filter_map(|((view, prompts), mask)| {
                     let mask = &mask.as_ref()?.mask;
                     let points = &prompts.points;
-                    Some(PromptedView { view: *view, mask, open: None, refused: false, points })
+                    Some(PromptedView { view: *view, mask, open: None, refused: false, points, boxes: &[] })
                 })
                 .collect(),
             None => task
@@ -200,6 +200,7 @@ impl SegmentActor {
                     open: Some(&found.open),
                     refused: refuses(prompts),
                     points: &prompts.points,
+                    boxes: &prompts.boxes,
                 })
                 .collect(),
         };

@@ -22,6 +22,7 @@
 //! Start reading at `select.rs`, then `label_fusion.rs`; single clicks start at `scene_tree/`.
 
 mod actor;
+mod box_bounds;
 mod components;
 pub mod coverage;
 mod depth_layers;

@@ -4,7 +4,7 @@ use crate::steps::AnswerSteps;
 use crate::{Evidence, NeighbourGraph, SegmentError, SegmentSettings, SplatFeatures};
 use segwild_objective::FieldBackend;
 use segwild_raster::{ProjectOptions, Projected, Rasterizer};
-use segwild_scene::{Camera, Image, Mask, PointPrompt, Pose, Splats, View};
+use segwild_scene::{BoxPrompt, Camera, Image, Mask, PointPrompt, Pose, Splats, View};
 
 /// A camera where it stood.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,6 +38,8 @@ pub struct PromptedView<'a> {
     pub refused: bool,
     /// The clicks, in pixels of the view's camera; may be empty (a box or a mask was the prompt).
     pub points: &'a [PointPrompt],
+    /// The boxes, in the same pixels; may be empty.
+    pub boxes: &'a [BoxPrompt],
 }
 
 /// Reads a mask of a view, its sky or its transients, at any size that covers the photo edge to edge; `None` where it is not

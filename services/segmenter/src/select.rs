@@ -9,7 +9,7 @@ use crate::settings::{ComponentRule, CutBy, SimilarityUse};
 use crate::steps::AnswerStep;
 use crate::{
     ClickHit, CutView, Evidence, MaskVote, NeighbourGraph, PhotoVisit, Refiner, SegmentError, SpikeCut,
-    SplatFeatures, components, propagate, smooth,
+    SplatFeatures, box_bounds, components, propagate, smooth,
 };
 use glam::Vec2;
 
@@ -68,6 +68,9 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
     if let Some(prior) = request.prior {
         prompted.add(prior, 1.0);
     }
+    // The masks alone say how well an answer agrees with the prompts: what a box leaves out weighs too much for that.
+    let masks = prompted.clone();
+    prompted.add(&box_bounds::against(request, &positive)?, 1.0);
     let similarities = similarities(request, &prompted, &positive, &negative)?;
     // Where masks take no part, there is nothing to carry to other photos.
     let alone = settings.similarity_use == SimilarityUse::Alone;
@@ -107,7 +110,7 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
         }
         _ => (fusion.weigh(prompted.clone(), Vec::new(), SPREAD_STEPS), Vec::new()),
     };
-    let decide = |state, visits| decide(request, &fusion, &prompted, state, visits);
+    let decide = |state, visits| decide(request, &fusion, (&prompted, &masks), state, visits);
     let carried = decide(state, visits);
     let elsewhere = carried.as_ref().map_or(true, |s| s.agreement < DRIFT_AGREEMENT && !s.visits.is_empty());
     if !elsewhere || rounds == 0 {
@@ -158,11 +161,11 @@ fn labelled(
     Ok(Labelled { labels, parts_removed })
 }
 
-/// From beliefs to the selection.
+/// From beliefs to the selection. `prompted`: what the prompts say, and of it what their masks say.
 fn decide(
     request: &Request,
     fusion: &LabelFusion,
-    prompted: &Evidence,
+    (prompted, masks): (&Evidence, &Evidence),
     state: FusionState,
     visits: Vec<PhotoVisit>,
 ) -> Result<Selection, SegmentError> {
@@ -170,8 +173,8 @@ fn decide(
     let sum = |of: &[f32], labelled: bool| -> f64 {
         of.iter().zip(&labels).filter(|(_, l)| **l || !labelled).map(|(x, _)| f64::from(*x)).sum()
     };
-    let either = sum(&prompted.inside, false) + sum(&prompted.outside, true);
-    let agreement = if either > 0.0 { sum(&prompted.inside, true) / either } else { 1.0 };
+    let either = sum(&masks.inside, false) + sum(&masks.outside, true);
+    let agreement = if either > 0.0 { sum(&masks.inside, true) / either } else { 1.0 };
     Ok(Selection {
         labels,
         score: state.probability,

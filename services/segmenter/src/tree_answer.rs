@@ -74,6 +74,7 @@ pub(crate) fn answer(
             open: None,
             refused: false,
             points: &prompts.points,
+            boxes: &[],
         })
         .collect();
     let (positive, negative) = hits(&Request { prompts: &points, ..*request })?;

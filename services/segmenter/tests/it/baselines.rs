@@ -27,6 +27,7 @@ fn labels(
             mask,
             open: None,
             points: if view == 0 { &MIDDLE } else { &[] },
+            boxes: &[],
             refused: false,
         })
         .collect();

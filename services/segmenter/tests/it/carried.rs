@@ -3,7 +3,7 @@
 use crate::common::{TestRandom, TestWorld, engine, features, options, posed, request};
 use glam::Vec3;
 use segwild_objective::Engine;
-use segwild_scene::{Image, Mask, PointPrompt, Splats};
+use segwild_scene::{BoxPrompt, Image, Mask, PointPrompt, Splats};
 use segwild_segmenter::{
     AnswerStep, AnswerSteps, MaskReader, PosedView, PromptedView, Refiner, Request, SegmentError,
     SegmentSettings, Selection, SplatFeatures, cut, select, visible_mask,
@@ -82,6 +82,7 @@ impl SquareScene {
             open: None,
             points: &[],
             refused: false,
+            boxes: &[],
         }];
         let request = request(engine, splats, &self.views, &prompts, settings);
         let request = Request { frozen: Some(frozen), ..request };
@@ -165,8 +166,14 @@ impl Refiner for RecordingRefiner<'_> {
 #[test]
 fn however_many_threads_there_are_the_selection_is_the_same() {
     let square = SquareScene::new();
-    let prompts =
-        [PromptedView { view: 0, mask: &square.truth[0][0], open: None, points: &[], refused: false }];
+    let prompts = [PromptedView {
+        view: 0,
+        mask: &square.truth[0][0],
+        open: None,
+        points: &[],
+        refused: false,
+        boxes: &[],
+    }];
     let settings = SegmentSettings::default();
     let select = |threads: usize| {
         let refiner =
@@ -205,8 +212,14 @@ impl AnswerSteps for StepList {
 #[test]
 fn an_answer_grows_in_steps_and_a_cancelled_one_asks_no_further_photo() {
     let square = SquareScene::new();
-    let prompts =
-        [PromptedView { view: 0, mask: &square.truth[0][0], open: None, points: &[], refused: false }];
+    let prompts = [PromptedView {
+        view: 0,
+        mask: &square.truth[0][0],
+        open: None,
+        points: &[],
+        refused: false,
+        boxes: &[],
+    }];
     let settings = SegmentSettings::default();
     let select_until = |until| {
         let steps = StepList { seen: Mutex::default(), until };
@@ -244,8 +257,14 @@ fn an_answer_grows_in_steps_and_a_cancelled_one_asks_no_further_photo() {
 #[test]
 fn photos_that_take_the_selection_elsewhere_are_not_followed() {
     let square = SquareScene::new();
-    let prompts =
-        [PromptedView { view: 0, mask: &square.truth[0][0], open: None, points: &[], refused: false }];
+    let prompts = [PromptedView {
+        view: 0,
+        mask: &square.truth[0][0],
+        open: None,
+        points: &[],
+        refused: false,
+        boxes: &[],
+    }];
     // A hundredth of the prompted photo's evidence is to count.
     let (propagate_gate, prompt_weight, least_evidence) = (0.0, 0.01, 0.0);
     let settings =
@@ -268,7 +287,7 @@ fn a_click_on_another_photo_can_say_what_is_not_meant() {
     let square = SquareScene::new();
     // Statue and tree in the first photo, as if the tree had leaked in; the tree clicked away in another.
     let both = square.truth[0][0].or(&square.truth[0][1]);
-    let leaked = PromptedView { view: 0, mask: &both, open: None, points: &[], refused: false };
+    let leaked = PromptedView { view: 0, mask: &both, open: None, points: &[], refused: false, boxes: &[] };
     let settings = SegmentSettings::default();
     let share = |prompts: &[PromptedView]| {
         let labels = square.with(prompts, &settings, |request| select(request, None).unwrap().labels);
@@ -277,13 +296,55 @@ fn a_click_on_another_photo_can_say_what_is_not_meant() {
     let before = share(&[leaked]);
     let (x, y) = square.truth[4][1].pixels().nth(square.truth[4][1].count() / 2).unwrap();
     let points = [PointPrompt { x: x as f32 + 0.5, y: y as f32 + 0.5, inside: false }];
-    let refusal =
-        PromptedView { view: 4, mask: &square.truth[4][1], open: None, points: &points, refused: true };
+    let refusal = PromptedView {
+        view: 4,
+        mask: &square.truth[4][1],
+        open: None,
+        points: &points,
+        refused: true,
+        boxes: &[],
+    };
     let after = share(&[leaked, refusal]);
     assert!(before.1 > 0.3 && after.1 < 0.5 * before.1, "{before:?} {after:?}");
     assert!(after.0 > 0.95 * before.0, "{before:?} {after:?}");
     let alone = square.with(&[refusal], &settings, |request| select(request, None).unwrap_err());
     assert!(matches!(alone, SegmentError::NoPrompt));
+}
+
+#[test]
+fn ground_that_every_other_photo_holds_stays_out_of_a_box_that_ends_at_the_foot() {
+    let square = SquareScene::new();
+    let mask = &square.truth[0][0];
+    let bounds = mask.pixels().fold([f32::MAX, f32::MAX, 0.0f32, 0.0f32], |b, (x, y)| {
+        let (x, y) = (x as f32, y as f32);
+        [b[0].min(x), b[1].min(y), b[2].max(x + 1.0), b[3].max(y + 1.0)]
+    });
+    let frame = [BoxPrompt { x0: bounds[2], y0: bounds[1], x1: bounds[0], y1: bounds[3] }];
+    // The other photos take the ground for a part of the statue.
+    let leaking = |view: usize, _: &Image| Some((square.truth[view][0].or(&square.truth[view][2]), 1.0_f32));
+    let settings = SegmentSettings { propagate_gate: 0.0, ..SegmentSettings::default() };
+    // Selected pixels of the prompted photo that lie well outside of the box.
+    let outside = |boxes: &[BoxPrompt], points: &[PointPrompt]| {
+        let prompts = [PromptedView { view: 0, mask, open: None, points, refused: false, boxes }];
+        let labels =
+            square.with(&prompts, &settings, |request| select(request, Some(&leaking)).unwrap().labels);
+        let view = &square.views[0];
+        let shown =
+            visible_mask(&engine(), &square.world.splats, &labels, &options(), &view.camera, &view.pose)
+                .unwrap();
+        let far = |(x, y): &(u32, u32)| {
+            let (x, y) = (*x as f32, *y as f32);
+            x < bounds[0] - 8.0 || x > bounds[2] + 8.0 || y < bounds[1] - 8.0 || y > bounds[3] + 8.0
+        };
+        shown.pixels().filter(far).count()
+    };
+    let (loose, boxed) = (outside(&[], &[]), outside(&frame, &[]));
+    assert!(loose > 500, "without a box the ground comes along: {loose}");
+    assert!(boxed * 20 < loose, "{boxed} of {loose}");
+    // A click outside of the box says that the box is no bound.
+    let (x, y) = square.truth[0][2].pixels().last().unwrap();
+    let clicked = outside(&frame, &[click(x as f32 + 0.5, y as f32 + 0.5)]);
+    assert!(clicked > 500, "{clicked}");
 }
 
 /// What each photo shows of some things.
@@ -311,7 +372,7 @@ fn carried(
     let mask = &truth[0][0];
     let (x, y) = mask.pixels().nth(mask.count() / 2).unwrap();
     let points = [click(x as f32 + 0.5, y as f32 + 0.5)];
-    let prompts = [PromptedView { view: 0, mask, open, points: &points, refused: false }];
+    let prompts = [PromptedView { view: 0, mask, open, points: &points, refused: false, boxes: &[] }];
     let (settings, sky) = (SegmentSettings::default(), world.is(3));
     let request = request(&engine, &world.splats, views, &prompts, &settings);
     let request = Request { features: Some(field), frozen: Some(&sky), transients, ..request };

@@ -28,8 +28,14 @@ struct SelectionCase<'a> {
 
 impl SelectionCase<'_> {
     fn run(&self) -> Result<Selection, SegmentError> {
-        let prompts =
-            [PromptedView { view: 0, mask: self.mask, open: None, points: self.points, refused: false }];
+        let prompts = [PromptedView {
+            view: 0,
+            mask: self.mask,
+            open: None,
+            points: self.points,
+            refused: false,
+            boxes: &[],
+        }];
         let views = std::slice::from_ref(self.view);
         let request = request(self.engine, self.splats, views, &prompts, &self.settings);
         select(&Request { features: self.features, frozen: self.frozen, ..request }, None)
@@ -256,7 +262,8 @@ fn the_cut_makes_the_object_fit_its_mask_better() {
     // What the photo shows: the wall without spikes.
     let mask = front_mask(&walls().0, &view);
     let points = [click(80.0, 60.0)];
-    let prompts = [PromptedView { view: 0, mask: &mask, open: None, points: &points, refused: false }];
+    let prompts =
+        [PromptedView { view: 0, mask: &mask, open: None, points: &points, refused: false, boxes: &[] }];
     let settings = SegmentSettings { components: ComponentRule::All, ..SegmentSettings::default() };
     let request = request(&engine, &world.splats, std::slice::from_ref(&view), &prompts, &settings);
     let selection = select(&request, None).unwrap();
