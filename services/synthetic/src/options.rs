@@ -66,7 +66,7 @@ impl Default for SyntheticOptions {
 }
 
 impl SyntheticOptions {
-    /// The set of the demo: few small photos.
+    /// Few small photos.
     pub fn small() -> SyntheticOptions {
         SyntheticOptions { train: 24, test: 4, long_side: 240, points: 2500, ..SyntheticOptions::default() }
     }
