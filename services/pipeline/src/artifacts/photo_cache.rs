@@ -13,8 +13,8 @@ pub(crate) struct RunPhotoCache {
     cache: Cache,
     scene: Arc<Scene>,
     size: u32,
-    /// Per view, once it is known, the hash of its files; `None` where they cannot be read.
-    digests: Vec<OnceLock<Option<String>>>,
+    /// Per view, once it is known, the hash of its files.
+    digests: Vec<OnceLock<String>>,
 }
 
 impl RunPhotoCache {
@@ -44,19 +44,18 @@ impl RunPhotoCache {
     /// # Errors
     /// When they cannot be read.
     pub fn digest(&self, view: usize) -> Result<String, SceneError> {
-        if let Some(Some(known)) = self.digests[view].get() {
+        if let Some(known) = self.digests[view].get() {
             return Ok(known.clone());
         }
         let digest = photo_digest(&self.scene.views[view])?;
         // Another thread may have been first, with the same hash.
-        let _ = self.digests[view].set(Some(digest.clone()));
+        let _ = self.digests[view].set(digest.clone());
         Ok(digest)
     }
 
     fn key(&self, view: usize) -> Option<Key> {
-        let digest = self.digests[view].get_or_init(|| photo_digest(&self.scene.views[view]).ok());
-        let digest = digest.as_deref()?;
-        Some(photo_key(PHOTOS, digest, &self.scene.views[view], self.size, ""))
+        let digest = self.digest(view).ok()?;
+        Some(photo_key(PHOTOS, &digest, &self.scene.views[view], self.size, ""))
     }
 }
 
