@@ -38,7 +38,7 @@ fn refused(error: &clap::Error) -> ExitCode {
 }
 
 fn main() -> ExitCode {
-    allocator::bound_heaps();
+    allocator::share_heaps();
     // A layer of Mesa asks the desktop which GPU it draws on, and complains on stderr where there is none. The order
     // of adapters is our own (`segwild_gpu::adapters`).
     // SAFETY: no other thread runs yet.
