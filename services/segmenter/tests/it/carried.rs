@@ -15,6 +15,11 @@ fn click(x: f32, y: f32) -> PointPrompt {
     PointPrompt { x, y, inside: true }
 }
 
+/// The mask of the prompts on the first photo, without clicks.
+fn prompted(mask: &Mask) -> PromptedView<'_> {
+    PromptedView { view: 0, mask, open: None, points: &[], refused: false, boxes: &[] }
+}
+
 /// The regions of a photo that are inside with a mean certainty over `least`.
 fn likelier(regions: &[Mask], certainty: &Image, least: f32) -> Mask {
     let inside = |region: &&Mask| {
@@ -166,14 +171,7 @@ impl Refiner for RecordingRefiner<'_> {
 #[test]
 fn however_many_threads_there_are_the_selection_is_the_same() {
     let square = SquareScene::new();
-    let prompts = [PromptedView {
-        view: 0,
-        mask: &square.truth[0][0],
-        open: None,
-        points: &[],
-        refused: false,
-        boxes: &[],
-    }];
+    let prompts = [prompted(&square.truth[0][0])];
     let settings = SegmentSettings::default();
     let select = |threads: usize| {
         let refiner =
@@ -212,14 +210,7 @@ impl AnswerSteps for StepList {
 #[test]
 fn an_answer_grows_in_steps_and_a_cancelled_one_asks_no_further_photo() {
     let square = SquareScene::new();
-    let prompts = [PromptedView {
-        view: 0,
-        mask: &square.truth[0][0],
-        open: None,
-        points: &[],
-        refused: false,
-        boxes: &[],
-    }];
+    let prompts = [prompted(&square.truth[0][0])];
     let settings = SegmentSettings::default();
     let select_until = |until| {
         let steps = StepList { seen: Mutex::default(), until };
@@ -257,14 +248,7 @@ fn an_answer_grows_in_steps_and_a_cancelled_one_asks_no_further_photo() {
 #[test]
 fn photos_that_take_the_selection_elsewhere_are_not_followed() {
     let square = SquareScene::new();
-    let prompts = [PromptedView {
-        view: 0,
-        mask: &square.truth[0][0],
-        open: None,
-        points: &[],
-        refused: false,
-        boxes: &[],
-    }];
+    let prompts = [prompted(&square.truth[0][0])];
     // A hundredth of the prompted photo's evidence is to count.
     let (propagate_gate, prompt_weight, least_evidence) = (0.0, 0.01, 0.0);
     let settings =
@@ -287,7 +271,7 @@ fn a_click_on_another_photo_can_say_what_is_not_meant() {
     let square = SquareScene::new();
     // Statue and tree in the first photo, as if the tree had leaked in; the tree clicked away in another.
     let both = square.truth[0][0].or(&square.truth[0][1]);
-    let leaked = PromptedView { view: 0, mask: &both, open: None, points: &[], refused: false, boxes: &[] };
+    let leaked = prompted(&both);
     let settings = SegmentSettings::default();
     let share = |prompts: &[PromptedView]| {
         let labels = square.with(prompts, &settings, |request| select(request, None).unwrap().labels);
