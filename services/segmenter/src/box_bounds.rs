@@ -1,8 +1,8 @@
 //! What a box leaves out (method, section 6.1).
 //!
 //! Who draws a box around an object says that nothing outside of it belongs to the object. One photo's mask is one vote among
-//! those of many photos, and can be outvoted; this cannot. Without it, the ground that a statue stands on came along from photo
-//! to photo, although the box ended at the statue's foot.
+//! those of many photos, and is easily outvoted: the ground that a statue stands on came along from photo to photo, although the
+//! box ended at the statue's foot. What the box leaves out weighs more.
 
 use crate::coverage::soft;
 use crate::photo_evidence::view_evidence;
@@ -21,9 +21,8 @@ const MIN_MARGIN: f32 = 2.0;
 /// choice.
 const MAX_SHARE_INSIDE: f32 = 0.1;
 
-/// Weight `W_b` of what a box leaves out against a photo's mask (method, section 6.1). With 64, no number of photos that a round
-/// visits outvotes it where the prompted photo sees a splat well. From
-/// docs/experiments/2026-11-29-boxes.md.
+/// Weight `W_b` of what a box leaves out against a photo's mask (method, section 6.1). About as much as
+/// all photos that a round visits, where the prompted photo sees a splat whole. From docs/experiments/2026-11-29-boxes.md.
 const BOX_WEIGHT: f32 = 64.0;
 
 /// Evidence against the splats that the boxes of the prompted photos leave out; none where a positive click hits them: then the
@@ -51,12 +50,14 @@ pub(crate) fn against(request: &Request, positive: &[ClickHit]) -> Result<Eviden
 
 /// Whether a photo's boxes hold all that was clicked there as part of the object.
 fn bounds(prompt: &PromptedView) -> bool {
-    let holds = |b: &BoxPrompt, x: f32, y: f32| {
-        let (x0, x1, y0, y1) = (b.x0.min(b.x1), b.x0.max(b.x1), b.y0.min(b.y1), b.y0.max(b.y1));
-        (x0..=x1).contains(&x) && (y0..=y1).contains(&y)
-    };
-    !prompt.boxes.is_empty()
-        && prompt.points.iter().filter(|p| p.inside).all(|p| prompt.boxes.iter().any(|b| holds(b, p.x, p.y)))
+    let mut meant = prompt.points.iter().filter(|p| p.inside);
+    !prompt.boxes.is_empty() && meant.all(|p| prompt.boxes.iter().any(|b| holds(b, 0.0, p.x, p.y)))
+}
+
+/// Whether a box, widened on each side by a margin, holds a position; all in pixels of one photo.
+fn holds(b: &BoxPrompt, margin: f32, x: f32, y: f32) -> bool {
+    let wide = |a: f32, b: f32| a.min(b) - margin..=a.max(b) + margin;
+    wide(b.x0, b.x1).contains(&x) && wide(b.y0, b.y1).contains(&y)
 }
 
 /// Per splat, its visible light within and outside of the boxes and the photo's own mask, without what a transient occludes.
@@ -73,17 +74,11 @@ fn evidence(request: &Request, prompt: &PromptedView) -> Result<Evidence, Segmen
 
 /// The pixels of the boxes with their margins, and of the mask. `photo`: the camera in whose pixels boxes are given.
 fn within(prompt: &PromptedView, photo: &Camera, working: &Camera) -> Mask {
-    let (sx, sy) = (working.width as f32 / photo.width as f32, working.height as f32 / photo.height as f32);
-    let wide = |b: &BoxPrompt| {
-        let margin = (BOX_MARGIN * (b.x1 - b.x0).abs().max((b.y1 - b.y0).abs())).max(MIN_MARGIN);
-        let (x0, x1) = (b.x0.min(b.x1) - margin, b.x0.max(b.x1) + margin);
-        let (y0, y1) = (b.y0.min(b.y1) - margin, b.y0.max(b.y1) + margin);
-        (x0 * sx, y0 * sy, x1 * sx, y1 * sy)
-    };
-    let boxes: Vec<_> = prompt.boxes.iter().map(wide).collect();
+    let (sx, sy) = (photo.width as f32 / working.width as f32, photo.height as f32 / working.height as f32);
+    let margin = |b: &BoxPrompt| (BOX_MARGIN * (b.x1 - b.x0).abs().max((b.y1 - b.y0).abs())).max(MIN_MARGIN);
     let mask = prompt.mask.resized(working.width, working.height);
     Mask::from_fn(working.width, working.height, |x, y| {
-        let (u, v) = (x as f32 + 0.5, y as f32 + 0.5);
-        mask.get(x, y) || boxes.iter().any(|&(x0, y0, x1, y1)| u >= x0 && u <= x1 && v >= y0 && v <= y1)
+        let (u, v) = ((x as f32 + 0.5) * sx, (y as f32 + 0.5) * sy);
+        mask.get(x, y) || prompt.boxes.iter().any(|b| holds(b, margin(b), u, v))
     })
 }

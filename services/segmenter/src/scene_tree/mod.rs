@@ -3,8 +3,8 @@
 //! Each view is added with its boundary map ([`TreeBuilder::add`]), unless enough others see what it sees. Two splats are as far
 //! apart as the median, over the views that see both, of the height at which their pixels' regions merge; there are three such
 //! distances, by the photos' boundaries, by the geometry and by both. Trees are grown from each ([`TreeBuilder::grow`]): by average
-//! linkage, and by distances in the
-//! eigenvectors of the whole graph. Clicks choose a group from all trees ([`SceneTree::candidates`]).
+//! linkage, and by distances in the eigenvectors of the whole graph. Clicks choose a group from all trees
+//! ([`SceneTree::candidates`]).
 
 mod boundaries;
 mod graph;
