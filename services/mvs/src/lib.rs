@@ -63,6 +63,7 @@ mod plane;
 mod sweep;
 
 pub use frame::StereoImage;
+pub use plane::LONGEST_SIDE;
 
 use frame::StereoFrame;
 use rayon::prelude::*;
@@ -81,7 +82,7 @@ const BATCH: usize = 16;
 /// Returns `None` if `stopping` returned true; it is polled every few images.
 ///
 /// # Panics
-/// If an image is more than 4096 pixels wide or high.
+/// If an image is more than [`LONGEST_SIDE`] pixels wide or high.
 pub fn points(
     scene: &Scene,
     views: &[usize],
@@ -90,8 +91,8 @@ pub fn points(
     seed: u64,
     stopping: &dyn Fn() -> bool,
 ) -> Option<Vec<Point>> {
-    let fits = |p: &StereoImage| p.image.width.max(p.image.height) <= plane::LARGEST;
-    assert!(images.iter().all(fits), "an image is at most {} pixels wide and high", plane::LARGEST);
+    let fits = |p: &StereoImage| p.image.width.max(p.image.height) <= LONGEST_SIDE;
+    assert!(images.iter().all(fits), "an image is at most {LONGEST_SIDE} pixels wide and high");
     let frames: Vec<StereoFrame> =
         views.iter().zip(images).map(|(&view, image)| StereoFrame::new(scene, view, image)).collect();
     let sources = neighbours::sources(scene, &frames, SOURCES);

@@ -13,7 +13,7 @@ const OFFSETS: [(Vec4, Vec4); 3] = [
 /// How many these are.
 const COUNT: f32 = 12.0;
 /// Longest side of an image, in pixels: the number of its last pixel is exact in an `f32`.
-pub(crate) const LARGEST: usize = 4096;
+pub const LONGEST_SIDE: usize = 4096;
 /// How far a patch may reach in another photo, in pixels.
 const FARTHEST: f32 = 16.0;
 /// Least deviation of a patch: below it there is nothing to compare.
@@ -122,7 +122,7 @@ impl<'a> SourceView<'a> {
             let x = u + ur * *dx + ud * *dy;
             let y = v + vr * *dx + vd * *dy;
             let (left, top) = (whole(x), whole(y));
-            // Whole numbers under 2^24: exact (see `LARGEST`).
+            // Whole numbers under 2^24: exact (see `LONGEST_SIDE`).
             let at = (top * width + left).to_array().map(|i| {
                 let i = i as i32 as usize;
                 let pixels = &self.grey.values[i..i + w + 2];

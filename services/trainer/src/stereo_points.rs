@@ -4,7 +4,7 @@
 use crate::photos::TrainPhotoCache;
 use crate::splat_budget::SplatBudget;
 use crate::{TrainError, TrainSettings};
-use segwild_mvs::StereoImage;
+use segwild_mvs::{LONGEST_SIDE, StereoImage};
 use segwild_scene::{Mask, Point, Scene};
 
 /// Bytes per pixel of the photos that are compared at once, at the size they are compared at: colours, brightness, depths.
@@ -47,7 +47,8 @@ pub(crate) fn points(
         ground.push(stored.levels[0].ground());
         let small = stored.levels.iter().find(|l| l.width.max(l.height) <= LONG_SIDE);
         let photo = small.unwrap_or_else(|| stored.levels.last().expect("there is a first level"));
-        if photo.width.max(photo.height) < LEAST_SIDE {
+        // A photo of few rows is not halved: it may be longer than stereo can take.
+        if !(LEAST_SIDE..=LONGEST_SIDE).contains(&photo.width.max(photo.height)) {
             continue;
         }
         let shows = |i: usize| {
@@ -66,4 +67,50 @@ pub(crate) fn points(
         return Ok(Vec::new());
     }
     segwild_mvs::points(scene, &views, images, most, settings.seed, stopping).ok_or(TrainError::Stopped)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::TrainPhoto;
+    use glam::Vec3;
+    use segwild_scene::{Camera, Image, Photo, Pose, SceneFrame, Seal, View};
+    use std::convert::Infallible;
+    use std::sync::Arc;
+
+    #[test]
+    fn a_strip_of_5000_by_20_pixels_takes_no_part_in_stereo_and_stops_no_training() {
+        let (width, height) = (5000, 20);
+        let view = |i: usize| View {
+            name: format!("{i}.jpg"),
+            camera: Camera { width, height, fx: 4000.0, fy: 4000.0, cx: 2500.0, cy: 10.0 },
+            pose: Pose::look_at(Vec3::new(0.1 * i as f32, 0.0, -2.0), Vec3::ZERO, Vec3::NEG_Y),
+            photo: Photo {
+                path: "none".into(),
+                ignore: None,
+                usable: None,
+                lens: None,
+                seal: Seal::default(),
+                reading: Default::default(),
+            },
+            test: false,
+        };
+        let scene = Scene {
+            views: (0..2).map(view).collect(),
+            points: vec![Point { position: Vec3::ZERO, colour: [0.5; 3], track: vec![] }],
+            skipped: vec![],
+            notes: vec![],
+            frame: SceneFrame { origin: glam::DVec3::ZERO, scale: 1.0 },
+            imported: None,
+        };
+        let strip = move |_: usize| {
+            let image = Image::filled(width as usize, height as usize, 3, 0.5);
+            Ok::<_, Infallible>(TrainPhoto { image, valid: None, sky: None, transients: None })
+        };
+        let names = vec!["0.jpg".to_owned(), "1.jpg".to_owned()];
+        let mut photos = TrainPhotoCache::new(Arc::new(strip), names, 1 << 20);
+        let settings = TrainSettings { stereo: 1.0, ..TrainSettings::default() };
+        let found = points(&scene, &mut photos, &settings, &[None, None], &|| false);
+        assert_eq!(found.expect("the photos can be read"), vec![]);
+    }
 }
