@@ -46,17 +46,17 @@ pub fn eval(matches: &ArgMatches) -> Result<(), Failure> {
     if let Some(provider) = &score.provider {
         print_line(&format!("masks of the provider {provider}"))?;
     }
-    print_line(&format!("{:>7} {:>7} {:>7} {:>7}  photo", "IoU", "acc", "B-IoU", "amodal"))?;
+    print_line(&format!("{:>7} {:>7} {:>7} {:>7} {:>7}  photo", "IoU", "acc", "B-IoU", "amodal", "stray"))?;
     for p in &score.photos {
         let note = if p.prompted { " (prompted, not in the mean)" } else { "" };
         print_line(&format!(
-            "{:7.3} {:7.3} {:7.3} {:7.3}  {}{note}",
-            p.iou, p.accuracy, p.boundary_iou, p.amodal_iou, p.photo
+            "{:7.3} {:7.3} {:7.3} {:7.3} {:7.3}  {}{note}",
+            p.iou, p.accuracy, p.boundary_iou, p.amodal_iou, p.stray_light, p.photo
         ))?;
     }
     print_line(&format!(
-        "{:7.3} {:7.3} {:7.3} {:7.3}  mean",
-        score.iou, score.accuracy, score.boundary_iou, score.amodal_iou
+        "{:7.3} {:7.3} {:7.3} {:7.3} {:7.3}  mean",
+        score.iou, score.accuracy, score.boundary_iou, score.amodal_iou, score.stray_light
     ))
 }
 

@@ -1,12 +1,15 @@
 //! Scores: held-out photos by the official protocol, selections against true masks (method, section 10).
 
+use crate::artifacts::folder::Loaded;
 use crate::artifacts::images::{ImageFiles, check_shape};
 use crate::artifacts::intact::Intact;
+use crate::output::object_masks::ObjectMasks;
 use crate::session::prompts::Replay;
-use crate::{RunError, RunFolder, Scoring, Selected, Settings};
+use crate::{RunError, RunFolder, Scoring, Selected, Settings, choose_engine, log_loss};
 use segwild_flow::{ActorFailure, fault};
 use segwild_raster::Rasterizer;
-use segwild_scene::{Mask, MaskFiles, PhotoStore, ReaderError};
+use segwild_scene::{Image, Mask, MaskFiles, PhotoStore, ReaderError};
+use segwild_segmenter::MaskMode;
 use segwild_trainer::{AppearanceModel, Lpips, Model, Photos, Protocol, TrainPhoto, ViewScore, evaluate};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -102,6 +105,9 @@ pub struct SelectionMaskScore {
     pub boundary_iou: f64,
     /// IoU of the amodal mask (the object alone).
     pub amodal_iou: f64,
+    /// Share of the light of the object alone that lies outside the true mask, by over 2 % of the diagonal, in [0, 1]: haze and
+    /// streaks that an exported object has around it, too faint for a mask or not. 0 where the object does not show.
+    pub stray_light: f64,
 }
 
 /// Scores of a selection.
@@ -119,11 +125,16 @@ pub struct Score {
     pub boundary_iou: f64,
     /// Mean amodal IoU over them.
     pub amodal_iou: f64,
+    /// Mean stray light over them ([`SelectionMaskScore::stray_light`]).
+    pub stray_light: f64,
     /// Per photo, the prompted ones too.
     pub photos: Vec<SelectionMaskScore>,
     /// True masks that could not be read, and why: their photos do not count.
     pub unread: Vec<String>,
 }
+
+/// Width of a boundary, and of what counts as near the true mask, as a share of the diagonal.
+const BOUNDARY: f32 = 0.02;
 
 /// How often a photo is scored before it is left out.
 const ATTEMPTS: u32 = 3;
@@ -245,10 +256,10 @@ pub(crate) fn protocol_of(settings: &Settings) -> Protocol {
 
 /// Scores a selection's masks against the true masks in `truth`: one image per photo, named as the photo
 /// ([`MaskFiles`]) and in pixels of the photo as taken. Photos without a true mask do not count, and the means leave
-/// out the prompted photos.
+/// out the prompted photos. The object is rendered alone for its stray light.
 ///
 /// # Errors
-/// When the folder or the selection is missing, a file of the selection is damaged, or no true mask counts.
+/// When the folder or the selection is missing, a file of the selection is damaged, no true mask counts, or the engine fails.
 pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score, RunError> {
     let intake = folder.intake()?;
     let prompted = Replay::of(folder, selection)?.prompts;
@@ -256,8 +267,13 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
         return Err(RunError::Input(format!("--truth {}: there is no such folder", truth.display())));
     }
     let intact = Intact::of(folder, selection)?;
-    let splats = folder.load()?.model.splats.len();
-    Selected::read(folder, selection, splats)?; // refuses masks of a scene that has been trained again since
+    let Loaded { settings, scene, model, .. } = folder.load()?;
+    // Refuses masks of a scene that has been trained again since.
+    let selected = Selected::read(folder, selection, model.splats.len())?;
+    let engine = choose_engine(&settings.run, log_loss)?.engine;
+    let alone = selected.cut_scene(&model.splats).select(&selected.splats());
+    let whole = vec![true; alone.len()];
+    let alone = ObjectMasks::new(&*engine, &alone, &whole, model.options(), MaskMode::Amodal)?;
     let (mut photos, mut unread) = (Vec::new(), Vec::new());
     let names = intake.photos.iter().map(String::as_str);
     let (files, truths) = (ImageFiles::of(names.clone()), MaskFiles::new(truth, names));
@@ -286,14 +302,16 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
         }
         let fit = |m: Mask| if (m.width(), m.height()) == (w, h) { m } else { m.resized(w, h) };
         let (visible, amodal) = (fit(visible), fit(amodal));
+        let share = alone.share(&scene.views[i].camera, &scene.views[i].pose, settings.scene.size)?;
         let wrong = visible.minus(&truth).count() + truth.minus(&visible).count();
         photos.push(SelectionMaskScore {
             photo: photo.clone(),
             prompted: prompted.iter().any(|p| p.photo == *photo),
             iou: visible.iou(&truth),
             accuracy: 1.0 - wrong as f64 / (f64::from(truth.width()) * f64::from(truth.height())),
-            boundary_iou: visible.boundary_iou(&truth, 0.02),
+            boundary_iou: visible.boundary_iou(&truth, BOUNDARY),
             amodal_iou: amodal.iou(&truth),
+            stray_light: stray_light(&share, scene.views[i].mask_from_taken(truth)),
         });
     }
     let others: Vec<&SelectionMaskScore> = photos.iter().filter(|p| !p.prompted).collect();
@@ -317,7 +335,43 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
         accuracy: mean(|p| p.accuracy),
         boundary_iou: mean(|p| p.boundary_iou),
         amodal_iou: mean(|p| p.amodal_iou),
+        stray_light: mean(|p| p.stray_light),
         photos,
         unread,
     })
+}
+
+/// Share of an object's light that lies farther from a true mask than [`BOUNDARY`]. `share` is one plane: how much of each pixel
+/// the object covers.
+fn stray_light(share: &Image, truth: Mask) -> f64 {
+    let (w, h) = (share.width as u32, share.height as u32);
+    let near = BOUNDARY * (w as f32).hypot(h as f32);
+    let far = truth.resized(w, h).distances().into_iter().map(|distance| distance > near);
+    let light = |&v: &f32| f64::from(v);
+    let all: f64 = share.plane(0).iter().map(light).sum();
+    let stray: f64 = share.plane(0).iter().zip(far).filter(|(_, far)| *far).map(|(v, _)| light(v)).sum();
+    if all > 0.0 { stray / all } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn light_far_from_the_true_mask_is_stray_and_light_at_its_rim_is_not() {
+        let truth = || Mask::from_fn(100, 100, |x, _| x < 40);
+        let share = |v: f32, from: usize, to: usize| {
+            let mut image = Image::filled(100, 100, 1, 0.0);
+            let lit = image.data.iter_mut().enumerate().filter(|(i, _)| (from..to).contains(&(i % 100)));
+            lit.for_each(|(_, p)| *p = v);
+            image
+        };
+        assert_eq!(stray_light(&share(1.0, 0, 40), truth()), 0.0);
+        assert_eq!(stray_light(&share(1.0, 0, 42), truth()), 0.0, "2 % of the diagonal are near");
+        assert_eq!(stray_light(&share(0.2, 80, 100), truth()), 1.0);
+        assert_eq!(stray_light(&share(0.0, 0, 0), truth()), 0.0, "an object that does not show");
+        let mut faint = share(1.0, 0, 40);
+        faint.data.iter_mut().zip(share(0.1, 60, 100).data).for_each(|(a, b)| *a += b);
+        assert!((stray_light(&faint, truth()) - 4.0 / 44.0).abs() < 1e-6);
+    }
 }
