@@ -85,6 +85,14 @@ impl Request<'_> {
         self.transients.and_then(|read| read(view))
     }
 
+    /// The neighbour graph of the splats: the one at hand, or one made into `built`.
+    pub(crate) fn graph<'g>(&'g self, built: &'g mut Option<NeighbourGraph>) -> &'g NeighbourGraph {
+        match self.graph {
+            Some(graph) => graph,
+            None => built.insert(NeighbourGraph::new(self.splats, self.settings.neighbours)),
+        }
+    }
+
     /// An error once nobody waits for the selection any more.
     pub(crate) fn wanted(&self) -> Result<(), SegmentError> {
         match self.steps.is_some_and(AnswerSteps::cancelled) {

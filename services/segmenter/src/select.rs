@@ -78,14 +78,8 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
         return Err(SegmentError::NoFeatures);
     }
     let rounds = if alone { 0 } else { settings.propagate };
-    let built;
-    let graph = match request.graph {
-        Some(graph) => graph,
-        None => {
-            built = NeighbourGraph::new(splats, settings.neighbours);
-            &built
-        }
-    };
+    let mut built = None;
+    let graph = request.graph(&mut built);
     let features = request.features.filter(|_| settings.similarity_use != SimilarityUse::Off);
     let fusion = LabelFusion {
         splats,
@@ -187,6 +181,32 @@ fn decide(
     })
 }
 
+/// Unselected splats that lie astride the outline and are connected to the selection, through one another where need be. What
+/// fills the masks from far in the background does not reach into the object: no piece of it belongs there.
+fn astride(request: &Request, selection: &Selection) -> Vec<bool> {
+    let (labels, evidence) = (&selection.labels, &selection.evidence);
+    let mut astride: Vec<bool> = (0..request.splats.len())
+        .map(|i| {
+            let barred = labels[i] || request.frozen.is_some_and(|f| f[i]);
+            !barred
+                && evidence.known[i] >= ASTRIDE_COVERAGE
+                && evidence.rho(i).is_some_and(|rho| rho >= ASTRIDE_SHARE)
+        })
+        .collect();
+    let mut built = None;
+    let graph = request.graph(&mut built);
+    let either: Vec<bool> = labels.iter().zip(&astride).map(|(label, astride)| *label || *astride).collect();
+    let (part, parts) = graph.components(request.splats, &either);
+    let mut holds_selected = vec![false; parts];
+    for (part, _) in part.iter().zip(labels).filter(|(_, label)| **label) {
+        holds_selected[part.expect("a selected splat is in a part") as usize] = true;
+    }
+    for (astride, part) in astride.iter_mut().zip(&part) {
+        *astride &= part.is_some_and(|part| holds_selected[part as usize]);
+    }
+    astride
+}
+
 /// The spike cut of a selection (method, section 7) by the masks of the photos that took part, or of the prompted
 /// ones alone ([`crate::SegmentSettings::cut_by`]). A photo cuts only the splats that it sees.
 pub fn cut(request: &Request, selection: &Selection) -> Result<SpikeCut, SegmentError> {
@@ -206,15 +226,7 @@ pub fn cut(request: &Request, selection: &Selection) -> Result<SpikeCut, Segment
         let votes: Vec<MaskVote> = prompted.chain(others).collect();
         let settings = request.settings;
         let near = request.options.near;
-        let evidence = &selection.evidence;
-        let astride: Vec<bool> = (0..request.splats.len())
-            .map(|i| {
-                let barred = selection.labels[i] || request.frozen.is_some_and(|f| f[i]);
-                !barred
-                    && evidence.known[i] >= ASTRIDE_COVERAGE
-                    && evidence.rho(i).is_some_and(|rho| rho >= ASTRIDE_SHARE)
-            })
-            .collect();
+        let astride = astride(request, selection);
         let labels = &selection.labels;
         return Ok(SpikeCut::cut_by_votes(request.splats, labels, &astride, &votes, settings.spikes, near));
     }

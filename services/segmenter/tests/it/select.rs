@@ -7,8 +7,9 @@ use segwild_raster::Rasterizer;
 use segwild_scene::{Mask, PointPrompt, Splats};
 use segwild_segmenter::coverage::{coverage, unoccluded};
 use segwild_segmenter::{
-    ComponentRule, Evidence, EvidenceMode, PosedView, PromptedView, Request, SegmentError, SegmentSettings,
-    Selection, SimilarityUse, SpikeCut, SplatFeatures, Vote, amodal_mask, cut, hit, select, visible_mask,
+    ComponentRule, Evidence, EvidenceMode, PhotoVerdict, PhotoVisit, PosedView, PromptedView, Request,
+    SegmentError, SegmentSettings, Selection, SimilarityUse, SpikeCut, SplatFeatures, Vote, amodal_mask, cut,
+    hit, select, visible_mask,
 };
 
 fn click(x: f32, y: f32) -> PointPrompt {
@@ -282,6 +283,48 @@ fn the_cut_makes_the_object_fit_its_mask_better() {
         SpikeCut::default(),
         SpikeCut::new(&world.splats, &vec![false; world.len()], &[], settings.spikes, 0.01)
     );
+}
+
+#[test]
+fn a_splat_far_from_the_object_gives_it_no_piece_though_masks_hold_half_of_it() {
+    // Two needles across the wall's right edge: one lies on the wall, the other five times as far from the camera.
+    let (mut world, view) = walls();
+    for z in [1.99, 10.0] {
+        world.disc(2, Vec3::new(0.25 * z, 0.0, z), Vec3::NEG_Z, 0.01, [0.8, 0.3, 0.2]);
+        world.splats.log_scales.last_mut().unwrap()[0] = (0.04 * z).ln();
+        *world.splats.rotations.last_mut().unwrap() = [1.0, 0.0, 0.0, 0.0];
+    }
+    let n = world.len();
+    let [near, far] = [n - 2, n - 1];
+    let engine = engine();
+    let mask = front_mask(&walls().0, &view);
+    let prompts =
+        [PromptedView { view: 0, mask: &mask, open: None, points: &[], refused: false, boxes: &[] }];
+    let settings = SegmentSettings::default();
+    let request = request(&engine, &world.splats, std::slice::from_ref(&view), &prompts, &settings);
+    let mut evidence = Evidence::none(n);
+    for needle in [near, far] {
+        (evidence.inside[needle], evidence.outside[needle], evidence.known[needle]) = (0.4, 0.6, 1.0);
+    }
+    let visit = PhotoVisit {
+        view: 0,
+        verdict: PhotoVerdict::Accepted,
+        agreement: 1.0,
+        mask: Some(mask.clone()),
+        visibility: vec![255; n],
+    };
+    let selection = Selection {
+        labels: world.is(0),
+        score: vec![0.0; n],
+        similarity: None,
+        evidence,
+        visits: vec![visit],
+        parts_removed: 0,
+        agreement: 1.0,
+        alone: false,
+    };
+    let cut = cut(&request, &selection).unwrap();
+    assert_eq!(cut.joined, [near as u32], "and not the far needle, {far}");
 }
 
 /// A tenth of a splat that shows beside something else decides its side like any other tenth, but adds little to what is known of
