@@ -6,8 +6,9 @@
 use crate::counted::{Calls, counted};
 use crate::harm::Harm;
 use segwild_eval::oracle::OracleOptions;
+use segwild_eval::protocols::ProtocolError;
 use segwild_eval::protocols::clicks;
-use segwild_eval::protocols::folder::Parts;
+use segwild_eval::protocols::folder::{Parts, objects as true_objects};
 use segwild_eval::protocols::scene::stem;
 use segwild_eval::record::Record;
 use segwild_eval::trial::{ProviderKind, Trial, TrialError};
@@ -17,7 +18,7 @@ use segwild_pipeline::{
     score, segment,
 };
 use segwild_raster::{CpuEngine, Rasterizer};
-use segwild_scene::{BoxPrompt, Mask, MaskFiles, PointPrompt, Prompts, Scene, SceneError};
+use segwild_scene::{BoxPrompt, Mask, PointPrompt, Prompts, Scene, SceneError};
 use segwild_synthetic::random::Rng;
 use segwild_synthetic::{ObjectKind, ObjectTruth, SyntheticOptions, SyntheticPhoto, generate};
 use segwild_vision::Providers;
@@ -36,7 +37,8 @@ const REFERENCES: usize = 3;
 pub enum PhotoSource {
     /// A synthetic source: every object is clicked once.
     Synthetic(SyntheticOptions),
-    /// A folder of photos with true masks of one object in `truth/`: it is shown in three photos, one after the other.
+    /// A folder of photos. Each object with true masks in `truth/`, or in a folder of its own there, is shown in three photos,
+    /// one after the other; where there is no `truth/`, only the training counts.
     Folder {
         /// The scene.
         path: PathBuf,
@@ -122,6 +124,9 @@ pub enum PointError {
         "{0} has no mask in `truth/` that covers a tenth of a percent of its photo: there is nothing to score"
     )]
     NoTruth(PathBuf),
+    /// The folder of true masks cannot be read.
+    #[error(transparent)]
+    Truth(#[from] ProtocolError),
     /// A process of its own could not be started, or did not answer.
     #[error("a point was not measured: {0}")]
     Child(String),
@@ -294,38 +299,41 @@ fn folder(
     parts: &Parts,
     settings: &Settings,
 ) -> Result<Vec<Record>, PointError> {
-    let truth = path.join("truth");
-    let shown = references(path, &truth, parts, settings)?;
+    let objects = objects(path, parts, settings)?;
     let run = RunFolder::create(&job.dir.join("run"))?;
     let providers = Providers::from_settings(&settings.vision).map_err(TrialError::from)?;
     let mut first = trained(job, path, &run, settings, providers.clone())?;
     let mut targets = Vec::new();
     let mut click_s = 0.0;
-    for (k, prompts) in shown.iter().enumerate() {
-        let began = Instant::now();
-        let name = format!("object-{k}");
-        let made = segment(
-            &run,
-            &name,
-            &std::slice::from_ref(prompts).into(),
-            &settings.segment,
-            Some(&providers),
-            &Stopper::new(),
-        );
-        click_s += began.elapsed().as_secs_f64();
-        let numbers = match made {
-            Ok(_) => {
-                let s = score(&run, &name, &truth)?;
-                [s.iou, s.boundary_iou, s.accuracy, s.amodal_iou]
-            }
-            Err(RunError::Segment(_)) => [0.0; 4], // nothing selected is nothing right
-            Err(other) => return Err(other.into()),
-        };
-        let names = ["iou", "boundary_iou", "accuracy", "amodal_iou"];
-        let numbers: Vec<(&str, f64)> = names.into_iter().zip(numbers).collect();
-        targets.push(job.record("object", k as u32, &numbers));
+    for FolderObject { name: object, truth, shown } in &objects {
+        for (k, prompts) in shown.iter().enumerate() {
+            let began = Instant::now();
+            let name = format!("{object}-{k}");
+            let made = segment(
+                &run,
+                &name,
+                &std::slice::from_ref(prompts).into(),
+                &settings.segment,
+                Some(&providers),
+                &Stopper::new(),
+            );
+            click_s += began.elapsed().as_secs_f64();
+            let numbers = match made {
+                Ok(_) => {
+                    let s = score(&run, &name, truth)?;
+                    [s.iou, s.boundary_iou, s.accuracy, s.amodal_iou]
+                }
+                Err(RunError::Segment(_)) => [0.0; 4], // nothing selected is nothing right
+                Err(other) => return Err(other.into()),
+            };
+            let names = ["iou", "boundary_iou", "accuracy", "amodal_iou"];
+            let numbers: Vec<(&str, f64)> = names.into_iter().zip(numbers).collect();
+            targets.push(job.record(object, k as u32, &numbers));
+        }
     }
-    first.numbers.insert("click_s".into(), click_s / shown.len() as f64);
+    if !targets.is_empty() {
+        first.numbers.insert("click_s".into(), click_s / targets.len() as f64);
+    }
     targets.insert(0, first);
     Ok(seen_by(&providers.name, targets))
 }
@@ -412,30 +420,49 @@ fn forget_peak() -> Option<u64> {
     cpu::peak_memory()
 }
 
-/// Photos to show the object in, each with what a person would point at. Those in the middle of the range of what the
-/// object covers, evenly over the names, so that neither a close-up of a part nor a speck is among them.
-fn references(
-    scene: &Path,
-    truth: &Path,
-    parts: &Parts,
-    settings: &Settings,
-) -> Result<Vec<PhotoPrompts>, PointError> {
+/// An object of a folder of photos.
+struct FolderObject {
+    name: String,
+    /// The folder of its true masks.
+    truth: PathBuf,
+    /// The photos it is shown in, each with what a person would point at.
+    shown: Vec<PhotoPrompts>,
+}
+
+/// The objects of a folder; none where it has no `truth/`.
+fn objects(scene: &Path, parts: &Parts, settings: &Settings) -> Result<Vec<FolderObject>, PointError> {
+    let root = scene.join("truth");
+    if !root.is_dir() {
+        return Ok(Vec::new());
+    }
     let opened = Scene::open(scene, &settings.scene)?;
-    let mut able = Vec::new();
-    let listed = |name: &str| parts.is_empty() || parts.contains_key(stem(name));
-    let files = MaskFiles::new(truth, opened.views.iter().map(|view| view.name.as_str()));
-    for view in opened.views.iter().filter(|v| !v.test && listed(&v.name)) {
-        let file = files.find(&view.name);
-        let file = file.map_err(|reason| SceneError::invalid(truth, "masks", reason))?;
-        let Some(file) = file else { continue };
-        let mask = Mask::read_png(&file)?;
-        let share = mask.count() as f64 / f64::from(mask.width() * mask.height()).max(1.0);
-        if share >= 0.001 {
-            able.push((share, view.name.clone(), mask));
+    let trained: Vec<String> = opened.views.iter().filter(|v| !v.test).map(|v| v.name.clone()).collect();
+    let mut objects = Vec::new();
+    for (name, masks) in true_objects(scene, &trained)? {
+        let own = root.join(&name);
+        let truth = if own.is_dir() { own } else { root.clone() };
+        let shown = references(&masks, parts)?;
+        if !shown.is_empty() {
+            objects.push(FolderObject { name, truth, shown });
         }
     }
-    if able.is_empty() {
+    if objects.is_empty() {
         return Err(PointError::NoTruth(scene.into()));
+    }
+    Ok(objects)
+}
+
+/// Photos to show an object in, each with what a person would point at. Those in the middle of the range of what the
+/// object covers, evenly over the names, so that neither a close-up of a part nor a speck is among them. `masks`: photos with
+/// the files of its true masks.
+fn references(masks: &[(String, PathBuf)], parts: &Parts) -> Result<Vec<PhotoPrompts>, SceneError> {
+    let mut able = Vec::new();
+    for (name, file) in masks.iter().filter(|(name, _)| parts.is_empty() || parts.contains_key(stem(name))) {
+        let mask = Mask::read_png(file)?;
+        let share = mask.count() as f64 / f64::from(mask.width() * mask.height()).max(1.0);
+        if share >= 0.001 {
+            able.push((share, name.clone(), mask));
+        }
     }
     able.sort_by(|a, b| a.0.total_cmp(&b.0));
     let middle = able.len() / 4..able.len() - able.len() / 4;
