@@ -2,12 +2,14 @@
 //!
 //! Who draws a box around an object says that nothing outside of it belongs to the object. One photo's mask is one vote among
 //! those of many photos, and is easily outvoted: the ground that a statue stands on came along from photo to photo, although the
-//! box ended at the statue's foot. What the box leaves out weighs more.
+//! box ended at the statue's foot. What the box leaves out weighs more, and what lies beyond the photo's frame cannot be selected:
+//! the photo cannot speak against it.
 
 use crate::coverage::soft;
 use crate::photo_evidence::view_evidence;
-use crate::request::{PromptedView, Request, project, view, working_camera};
+use crate::request::{PosedView, PromptedView, Request, project, view, working_camera};
 use crate::{ClickHit, Evidence, SegmentError, occlusion};
+use glam::Vec3;
 use segwild_scene::{BoxPrompt, Camera, Mask};
 
 /// How far around a box the object may reach, as a share `m_b` of the box's longer side (method, section 6.1): people draw boxes
@@ -25,6 +27,10 @@ const MAX_SHARE_INSIDE: f32 = 0.1;
 /// all photos that a round visits, where the prompted photo sees a splat whole. From docs/experiments/2026-11-29-boxes.md.
 const BOX_WEIGHT: f32 = 64.0;
 
+/// How near a box must come to the photo's frame for the object to go on beyond it, as a share `m_f` of the photo's long side
+/// (method, section 6.1). By choice.
+const FRAME_MARGIN: f32 = 0.01;
+
 /// Evidence against the splats that the boxes of the prompted photos leave out; none where a positive click hits them: then the
 /// boxes are no bounds.
 pub(crate) fn against(request: &Request, positive: &[ClickHit]) -> Result<Evidence, SegmentError> {
@@ -38,14 +44,57 @@ pub(crate) fn against(request: &Request, positive: &[ClickHit]) -> Result<Eviden
             }
         }
     }
-    let contradicts = |hit: &ClickHit| {
-        let outside = |s: &&(u32, f32)| against.outside[s.0 as usize] > 0.0;
-        hit.splats.iter().filter(outside).map(|s| s.1).sum::<f32>() > 0.5 * hit.alpha
-    };
-    if positive.iter().any(contradicts) {
-        return Ok(Evidence::none(request.splats.len()));
+    match contradicted(positive, |splat| against.outside[splat] > 0.0) {
+        true => Ok(Evidence::none(request.splats.len())),
+        false => Ok(against),
     }
-    Ok(against)
+}
+
+/// The splats that can never be selected: those of the request, and those beyond the frame of a prompted photo whose boxes lie
+/// within it. `None` where there are none, and none but the request's where a positive click hits the others.
+pub(crate) fn frozen(request: &Request, positive: &[ClickHit]) -> Result<Option<Vec<bool>>, SegmentError> {
+    let mut beyond = vec![false; request.splats.len()];
+    for prompt in request.prompts.iter().filter(|p| bounds(p)) {
+        let PosedView { camera, pose, .. } = view(request, prompt.view)?;
+        let ends: Vec<BoxPrompt> = prompt.boxes.iter().map(|b| open_at_frame(b, camera)).collect();
+        for (splat, beyond) in beyond.iter_mut().enumerate() {
+            *beyond |= lies_beyond(&ends, camera, pose.to_camera(request.splats.mean(splat)));
+        }
+    }
+    if !beyond.contains(&true) || contradicted(positive, |splat| beyond[splat]) {
+        return Ok(request.frozen.map(<[bool]>::to_vec));
+    }
+    for (beyond, frozen) in beyond.iter_mut().zip(request.frozen.unwrap_or(&[])) {
+        *beyond |= frozen;
+    }
+    Ok(Some(beyond))
+}
+
+/// A box whose sides at the photo's frame are moved to infinity: the object may go on there.
+fn open_at_frame(b: &BoxPrompt, photo: &Camera) -> BoxPrompt {
+    let (w, h) = (photo.width as f32, photo.height as f32);
+    let near = FRAME_MARGIN * w.max(h);
+    let low = |a: f32, b: f32| if a.min(b) <= near { f32::NEG_INFINITY } else { a.min(b) };
+    let high = |a: f32, b: f32, end: f32| if a.max(b) >= end - near { f32::INFINITY } else { a.max(b) };
+    BoxPrompt { x0: low(b.x0, b.x1), y0: low(b.y0, b.y1), x1: high(b.x0, b.x1, w), y1: high(b.y0, b.y1, h) }
+}
+
+/// Whether a position in the photo's camera lies outside of its frame and of boxes that [`open_at_frame`] made.
+fn lies_beyond(boxes: &[BoxPrompt], photo: &Camera, at: Vec3) -> bool {
+    if at.z <= 0.0 {
+        let closed = |b: &BoxPrompt| [b.x0, b.y0, b.x1, b.y1].iter().all(|side| side.is_finite());
+        return boxes.iter().all(closed);
+    }
+    let pixel = photo.pixel(at);
+    !photo.contains(pixel) && !boxes.iter().any(|b| holds(b, 0.0, pixel.x, pixel.y))
+}
+
+/// Whether a positive click hits mostly splats that the boxes leave out: then the boxes are no bounds.
+fn contradicted(positive: &[ClickHit], left_out: impl Fn(usize) -> bool) -> bool {
+    positive.iter().any(|hit| {
+        let out = hit.splats.iter().filter(|s| left_out(s.0 as usize));
+        out.map(|s| s.1).sum::<f32>() > 0.5 * hit.alpha
+    })
 }
 
 /// Whether a photo's boxes hold all that was clicked there as part of the object.

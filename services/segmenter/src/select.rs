@@ -61,6 +61,8 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
     check(request)?;
     let (settings, splats) = (request.settings, request.splats);
     let (positive, negative) = hits(request)?;
+    let frozen = box_bounds::frozen(request, &positive)?;
+    let request = &Request { frozen: frozen.as_deref(), ..*request };
     let mut prompted = Evidence::none(splats.len());
     for prompt in request.prompts {
         prompted.add(&prompted_evidence(request, prompt)?, settings.prompt_weight);
@@ -226,7 +228,8 @@ pub fn cut(request: &Request, selection: &Selection) -> Result<SpikeCut, Segment
         let votes: Vec<MaskVote> = prompted.chain(others).collect();
         let settings = request.settings;
         let near = request.options.near;
-        let astride = astride(request, selection);
+        let frozen = box_bounds::frozen(request, &hits(request)?.0)?;
+        let astride = astride(&Request { frozen: frozen.as_deref(), ..*request }, selection);
         let labels = &selection.labels;
         return Ok(SpikeCut::cut_by_votes(request.splats, labels, &astride, &votes, settings.spikes, near));
     }

@@ -331,6 +331,33 @@ fn ground_that_every_other_photo_holds_stays_out_of_a_box_that_ends_at_the_foot(
     assert!(clicked > 500, "{clicked}");
 }
 
+#[test]
+fn a_box_within_a_photo_leaves_out_what_lies_beyond_the_frame_and_a_box_at_the_frame_does_not() {
+    let square = SquareScene::new();
+    let view = &square.views[0];
+    let mask = &square.truth[0][0];
+    // The other photos take the whole ground for a part of the statue.
+    let leaking = |view: usize, _: &Image| Some((square.truth[view][0].or(&square.truth[view][2]), 1.0_f32));
+    let settings = SegmentSettings { propagate_gate: 0.0, ..SegmentSettings::default() };
+    let beyond: Vec<usize> = (0..square.world.len())
+        .filter(|&i| {
+            let at = view.pose.to_camera(square.world.splats.mean(i));
+            square.world.thing[i] == 2 && (at.z <= 0.0 || !view.camera.contains(view.camera.pixel(at)))
+        })
+        .collect();
+    assert!(beyond.len() > 200, "{}", beyond.len());
+    let selected = |boxes: &[BoxPrompt]| {
+        let prompts = [PromptedView { view: 0, mask, open: None, points: &[], refused: false, boxes }];
+        let labels =
+            square.with(&prompts, &settings, |request| select(request, Some(&leaking)).unwrap().labels);
+        beyond.iter().filter(|&&i| labels[i]).count()
+    };
+    let within = BoxPrompt { x0: 20.0, y0: 10.0, x1: 140.0, y1: 110.0 };
+    assert_eq!(selected(&[within]), 0);
+    let at_the_frame = BoxPrompt { x0: 0.0, y0: 0.0, x1: 160.0, y1: 120.0 };
+    assert!(selected(&[at_the_frame]) > 100, "the object may go on beyond the frame");
+}
+
 /// What each photo shows of some things.
 fn regions(world: &TestWorld, views: &[PosedView], things: &[usize]) -> Vec<Vec<Mask>> {
     let engine = engine();
