@@ -2,9 +2,10 @@
 """Clicks an object of a run and saves it as a .ply, through the page's API. Needs no package.
 
     segwild serve runs/trevi                                   # prints the address of the page
-    python3 studio.py ADDRESS PHOTO X,Y ... [--not X,Y ...] [--name NAME]
+    python3 studio.py ADDRESS PHOTO --positive X,Y ... [--negative X,Y ...] [--name NAME]
 
-PHOTO is a photo's name; X,Y are pixels of the photo as the page shows it, at full size. A position after `--not` is outside.
+PHOTO is a photo's name; X,Y are pixels of the photo as the page shows it, at full size. `--positive` and `--negative` mean what
+they mean for `segwild segment`, and each takes one position or several.
 """
 
 import argparse
@@ -60,13 +61,13 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("address")
     parser.add_argument("photo")
-    parser.add_argument("inside", nargs="+", metavar="X,Y")
-    parser.add_argument("--not", dest="outside", nargs="*", default=[], metavar="X,Y")
+    parser.add_argument("--positive", nargs="+", required=True, metavar="X,Y")
+    parser.add_argument("--negative", nargs="*", default=[], metavar="X,Y")
     parser.add_argument("--name", default="object")
     args = parser.parse_args()
     studio = Studio(args.address)
     at = lambda text: tuple(float(v) for v in text.split(","))
-    points = [(*at(p), True) for p in args.inside] + [(*at(p), False) for p in args.outside]
+    points = [(*at(p), True) for p in args.positive] + [(*at(p), False) for p in args.negative]
     answer = studio.click(args.photo, points)
     if answer["state"] != "done":
         sys.exit(f"error: {answer['error']}")

@@ -123,14 +123,14 @@ fn a_program_clicks_and_saves_an_object_through_the_api() {
         let output = Command::new("python3").arg(&client).args(args).current_dir(dir.path()).output();
         output.expect("python starts")
     };
-    let output = python(&[&address, &click.photo, &at, "--name", "statue"]);
+    let output = python(&[&address, &click.photo, "--positive", &at, "--name", "statue"]);
     assert!(output.status.success(), "{}{}", text(&output.stdout), text(&output.stderr));
     assert!(text(&output.stdout).contains("splats"), "{}", text(&output.stdout));
     let splats = segwild_scene::ply::read(&dir.path().join("statue.ply")).expect("an object");
     assert!(!splats.is_empty());
     // The same name again is another object; a wrong token is refused in words.
-    assert!(python(&[&address, &click.photo, &at, "--name", "statue"]).status.success());
-    let output = python(&[&(address + "0"), &click.photo, &at]);
+    assert!(python(&[&address, &click.photo, "--positive", &at, "--name", "statue"]).status.success());
+    let output = python(&[&(address + "0"), &click.photo, "--positive", &at]);
     assert!(text(&output.stderr).contains("has the token"), "{}", text(&output.stderr));
     child.kill().expect("it runs");
     child.wait().expect("it ends");
