@@ -248,8 +248,8 @@ fn prompt_warnings(
                 let (hit, at) = inside(mask, u, v);
                 if !hit || (depths[at] < EDGE && deepest > DEEPER * depths[at]) {
                     words.push(format!(
-                        "photo {}: the click at ({x}, {y}) lies at the edge of what it was taken to mean (see prompted/): a click \
-                         deeper inside is safer",
+                        "photo {}: the click at ({x}, {y}) lies at the edge of the predicted mask (see prompted/): a click deeper \
+                         inside is safer",
                         p.photo
                     ));
                 }
