@@ -45,7 +45,7 @@ struct WatchedRun {
     cache: Option<Cache>,
     stages: Vec<LiveStage>,
     metrics: Vec<LiveMetric>,
-    /// Actors and workers that the supervisor holds for stuck.
+    /// Actors and workers that the supervisor considers stuck.
     stuck: BTreeSet<(String, u32)>,
     ended: bool,
 }

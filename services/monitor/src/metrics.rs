@@ -79,7 +79,7 @@ metrics! {
     StageUtilization = "segwild_stage_utilization_ratio", Gauge, Mean, "The share of an actor's life spent working.";
     StageOldestTask = "segwild_stage_oldest_task_age_seconds", Gauge, Max, "For how long an actor's busiest worker has been at what it does.";
     ActorSeconds = "segwild_actor_seconds_total", Counter, Sum, "An actor's time, all its workers' together, by what it went to: starting, busy, waiting, blocked, back_off.";
-    ActorStuck = "segwild_actor_stuck", Gauge, Sum, "Workers of an actor that the supervisor holds for stuck.";
+    ActorStuck = "segwild_actor_stuck", Gauge, Sum, "Workers of an actor that the supervisor considers stuck.";
     ActorRestarts = "segwild_actor_restarts_total", Counter, Sum, "How often an actor was restarted.";
     TaskRetries = "segwild_task_retries_total", Counter, Sum, "Further attempts of an actor at a message.";
     Quarantined = "segwild_quarantined_total", Counter, Sum, "Messages that an actor gave up.";

@@ -16,7 +16,7 @@ pub struct LiveWorker {
     pub item: String,
     /// Since when, in seconds since 1970.
     pub since: f64,
-    /// Whether the supervisor holds it for stuck.
+    /// Whether the supervisor considers it stuck.
     pub stuck: bool,
 }
 

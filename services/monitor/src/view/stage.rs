@@ -49,7 +49,7 @@ pub struct WorkerView {
     pub item: String,
     /// For how long, in seconds.
     pub for_s: f64,
-    /// Whether the supervisor holds it for stuck.
+    /// Whether the supervisor considers it stuck.
     pub stuck: bool,
     /// Why it waits, if it does.
     pub why: Option<String>,
