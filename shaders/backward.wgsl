@@ -19,7 +19,7 @@
 @group(0) @binding(8) var<storage, read> totals: array<f32>;
 // Two vec4 per slot: g, g_u, g_uu, g_y; g_uy, g_yy, abs_x, abs_y.
 @group(0) @binding(9) var<storage, read_write> moments: array<vec4f>;
-#import lean
+#import weight_grad
 
 var<workgroup> light: array<f32, PIXELS>;
 var<workgroup> remaining: array<f32, PIXELS>;

@@ -39,7 +39,7 @@ kernels! {
     SCAN = "scan"."scan", [1];
     SCAN_ADD = "scan_add"."scan_add", [1];
     SCATTER = "scatter"."scatter", [1];
-    ORDER = "order"."order", [1];
+    ORDER = "sorted_tile_counts"."order", [1];
     EMIT = "emit"."emit", [1];
     RANGES = "ranges"."ranges", [1];
     BUCKET_COUNT = "bucket_count"."bucket_count", [1];
@@ -47,9 +47,9 @@ kernels! {
     BLEND = "blend"."blend", [1, 4];
     GATHER = "gather"."gather", [1, 2];
     SUM_SLOTS = "sum_slots"."sum_slots", [1];
-    FRONT = "front"."front", [0, 1, 2];
+    FRONT = "bucket_states"."front", [0, 1, 2];
     BACKWARD = "backward"."backward", [0, 1, 2];
-    UNPROJECT = "unproject"."unproject", [1];
+    UNPROJECT = "project_backward"."unproject", [1];
     SHADE = "shade"."shade", [1];
     SHADE_BACKWARD = "shade_backward"."shade_backward", [1];
     TINT = "tint"."tint", [1];
@@ -59,48 +59,48 @@ kernels! {
     SELECT = "select"."select_items", [1];
     COMPOSE = "compose"."compose", [1];
     BOX_MEAN = "box_mean"."box_mean", [1];
-    TALLY = "tally"."tally", [1];
-    LIMITS = "limits"."limits_of", [1];
-    WEIGH = "weigh"."weigh", [1];
-    STRUCTURE = "structure"."structure", [1];
-    SLOPE = "slope"."slope", [1];
-    GRADE = "grade"."grade", [1];
+    TALLY = "residual_histogram"."tally", [1];
+    LIMITS = "residual_limits"."limits_of", [1];
+    WEIGH = "pixel_weights"."weigh", [1];
+    STRUCTURE = "ssim"."structure", [1];
+    SLOPE = "l1_ssim_backward"."slope", [1];
+    GRADE = "compose_backward"."grade", [1];
     SKY_SUMS = "sky_sums"."sky_sums", [1];
     COLOUR_SUMS = "colour_sums"."colour_sums", [1];
-    TOTAL = "total"."total", [1];
+    TOTAL = "sum_groups"."total", [1];
     CONVOLVE = "convolve"."convolve", [1];
     CONVOLVE_WEIGHTS = "convolve_weights"."convolve_weights", [1];
     SUM_WEIGHTS = "sum_weights"."sum_weights", [1];
     NORM = "norm"."norm", [1];
     NORM_BACKWARD = "norm_backward"."norm_backward", [1];
-    JOIN = "join"."join", [1];
-    GATE = "gate"."gate", [1];
+    JOIN = "add_maps"."join", [1];
+    GATE = "relu_backward"."gate", [1];
     IN_SIGHT = "in_sight"."in_sight", [1];
-    PICK = "pick"."pick", [1];
-    READ_LIGHT = "read_light"."read_light", [1];
-    READ_LIGHT_BACKWARD = "read_light_backward"."read_light_backward", [1];
+    PICK = "compact_in_sight"."pick", [1];
+    READ_LIGHT = "gsw_inputs"."read_light", [1];
+    READ_LIGHT_BACKWARD = "gsw_inputs_backward"."read_light_backward", [1];
     MAP_SUMS = "map_sums"."map_sums", [1];
-    ADD_LIGHT = "add_light"."add_light", [1];
-    TAKE_LIGHT = "take_light"."take_light", [1];
-    BLAME = "blame"."blame", [1];
-    VISIBILITY = "visibility"."visibility", [1];
-    SEE = "see"."see", [1];
-    PREFER = "prefer"."prefer", [1];
+    ADD_LIGHT = "gsw_colours"."add_light", [1];
+    TAKE_LIGHT = "gsw_colours_backward"."take_light", [1];
+    BLAME = "part_residuals"."blame", [1];
+    VISIBILITY = "visibility_gradient"."visibility", [1];
+    SEE = "visibility_weights"."see", [1];
+    PREFER = "choose_weights"."prefer", [1];
     AREA_AVERAGE = "area_average"."area_average", [1, 4];
     AREA_SPREAD = "area_spread"."area_spread", [1, 2];
     EMBEDDING_LOSS = "embedding_loss"."embedding_loss", [1];
-    SAMPLED = "sampled"."sampled", [1, 4];
-    UNITS = "units"."units", [1];
-    MATES = "mates"."mates", [1];
-    PAIRS = "pairs"."pairs", [1];
-    PULL = "pull"."pull", [1];
-    ADD_PULL = "add_pull"."add_pull", [1, 2];
+    SAMPLED = "sampled_features"."sampled", [1, 4];
+    UNITS = "unit_features"."units", [1];
+    MATES = "mask_pair_counts"."mates", [1];
+    PAIRS = "compactness_loss"."pairs", [1];
+    PULL = "unit_features_backward"."pull", [1];
+    ADD_PULL = "sampled_features_backward"."add_pull", [1, 2];
     COSINES = "cosines"."cosines", [1, 4];
     FUSE = "fuse"."fuse", [1];
     ROW_STATE = "row_state"."row_state", [1];
     ROW_STEP = "row_step"."row_step", [1];
     ROW_ADD = "row_add"."row_add", [1];
-    RATE = "rate"."rate", [1];
+    RATE = "multiply_add"."rate", [1];
 }
 
 /// Constants of the losses (`objective/src/compare.rs`).
@@ -162,7 +162,7 @@ const SHARED: &[(&str, &str)] = &[
     ("window", include_str!("../../../shaders/shared/window.wgsl")),
     ("sum", include_str!("../../../shaders/shared/sum.wgsl")),
     ("running", include_str!("../../../shaders/shared/running.wgsl")),
-    ("lean", include_str!("../../../shaders/shared/lean.wgsl")),
+    ("weight_grad", include_str!("../../../shaders/shared/weight_grad.wgsl")),
     ("cells", include_str!("../../../shaders/shared/cells.wgsl")),
     ("masks", include_str!("../../../shaders/shared/masks.wgsl")),
     ("layer", include_str!("../../../shaders/shared/layer.wgsl")),

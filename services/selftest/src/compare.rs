@@ -210,29 +210,38 @@ pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<KernelCh
         let smooth = smoothed(&target.uncertain(&residual), target.width);
         add(&["compose", "box_mean"], SHOWN.compare("smoothed residuals", &got.smoothed, &smooth));
         let (got, wanted) = (&got.output.residuals, &wanted.output.residuals);
-        add(&["tally", "limits"], SHARES.compare("shares", some(got), some(wanted)));
+        add(&["residual_histogram", "residual_limits"], SHARES.compare("shares", some(got), some(wanted)));
     }
     if let Some(blames) = &got.blames {
         let wanted: Vec<f32> = wanted.blame.iter().map(|blame| blame.unwrap_or(-1.0)).collect();
-        add(&["blame", "limits"], SUMS.compare("blames", blames, &wanted));
+        add(&["part_residuals", "residual_limits"], SUMS.compare("blames", blames, &wanted));
     }
-    let (kernels, tolerance): (&[&str], _) =
-        if test_case.map.is_some() { (&["see", "prefer"], SEEN) } else { (&["weigh", "limits"], WEIGHTS) };
+    let (kernels, tolerance): (&[&str], _) = if test_case.map.is_some() {
+        (&["visibility_weights", "choose_weights"], SEEN)
+    } else {
+        (&["pixel_weights", "residual_limits"], WEIGHTS)
+    };
     add(kernels, tolerance.compare("weights", &got.weights, &wanted.weights.data));
     let quality = |results: &LossOutput| [results.psnr, results.left_out];
     add(
-        &["weigh", "total", "prefer"],
+        &["pixel_weights", "sum_groups", "choose_weights"],
         SUMS.compare("quality", &quality(&got.output), &quality(&wanted.output)),
     );
-    add(&["box_mean", "weigh", "prefer"], GRADED.compare("errors", &got.error, &wanted.error.data));
+    add(
+        &["box_mean", "pixel_weights", "choose_weights"],
+        GRADED.compare("errors", &got.error, &wanted.error.data),
+    );
     let Compared { output, image, alpha, .. } = wanted;
-    add(&["structure", "slope"], SUMS.compare("loss", &[got.output.loss], &[output.loss]));
+    add(&["ssim", "l1_ssim_backward"], SUMS.compare("loss", &[got.output.loss], &[output.loss]));
     let wide = interleaved(&Frame { image, alpha });
-    let kernels: &[&str] =
-        if loss_inputs.matrix.is_some() { &["grade"] } else { &["structure", "slope", "grade"] };
+    let kernels: &[&str] = if loss_inputs.matrix.is_some() {
+        &["compose_backward"]
+    } else {
+        &["ssim", "l1_ssim_backward", "compose_backward"]
+    };
     add(kernels, SLOPES.compare("gradients", &got.grads, &wide));
     if let (Some(got), Some(wanted)) = (&got.output.matrix, &output.matrix) {
-        add(&["grade"], SUMS.compare("gradient of the matrix", got, wanted));
+        add(&["compose_backward"], SUMS.compare("gradient of the matrix", got, wanted));
     }
     let sums = |results: &LossOutput| match &results.background {
         BackgroundSums::Sky(sums) => {

@@ -27,8 +27,17 @@ pub fn field(engine: &GpuEngine, view: &dyn Projected) -> Result<Vec<KernelCheck
         let off = compared(&case, engine, FieldRule { compact: 0.0, ..RULE }, false)?.err();
         checked.push(KernelCheck { kernels: &["area_average", "embedding_loss", "area_spread"], off });
         let off = compared(&case, engine, FieldRule { embedding: 0.0, ..RULE }, true)?.err();
-        checked
-            .push(KernelCheck { kernels: &["sampled", "units", "mates", "pairs", "pull", "add_pull"], off });
+        checked.push(KernelCheck {
+            kernels: &[
+                "sampled_features",
+                "unit_features",
+                "mask_pair_counts",
+                "compactness_loss",
+                "unit_features_backward",
+                "sampled_features_backward",
+            ],
+            off,
+        });
     }
     checked.push(KernelCheck { kernels: &["blend", "gather"], off: steps(engine, view)?.err() });
     for (channels, queries) in [(3, 1), (20, 5)] {

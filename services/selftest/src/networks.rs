@@ -148,7 +148,7 @@ fn network(
         let kernels: &[&str] = match op.what {
             OpKind::Conv(_) | OpKind::Up(_) => &["convolve"],
             OpKind::Norm(_) => &["norm", "convolve"],
-            OpKind::Join(_) | OpKind::Beside(_) => &["join"],
+            OpKind::Join(_) | OpKind::Beside(_) => &["add_maps"],
         };
         let map = &right.of(op.to).data;
         let got = run.map(op.to, map.len());
@@ -158,13 +158,23 @@ fn network(
     for op in ops.iter().rev() {
         let (kernels, own): (&[&str], _) = match &op.what {
             OpKind::Conv(layer) => (
-                &["convolve_weights", "sum_weights", "norm_backward", "gate", "join", "convolve"],
+                &[
+                    "convolve_weights",
+                    "sum_weights",
+                    "norm_backward",
+                    "relu_backward",
+                    "add_maps",
+                    "convolve",
+                ],
                 layer.weights(),
             ),
-            OpKind::Up(layer) => {
-                (&["convolve_weights", "sum_weights", "convolve", "join", "gate"], layer.weights())
+            OpKind::Up(layer) => (
+                &["convolve_weights", "sum_weights", "convolve", "add_maps", "relu_backward"],
+                layer.weights(),
+            ),
+            OpKind::Norm(layer) => {
+                (&["norm_backward", "relu_backward", "add_maps", "convolve"], layer.weights())
             }
-            OpKind::Norm(layer) => (&["norm_backward", "gate", "join", "convolve"], layer.weights()),
             OpKind::Join(_) | OpKind::Beside(_) => continue,
         };
         let what = format!("gradients of the weights from {} on", own.start);
@@ -256,15 +266,15 @@ fn lighting(
         |what: &str, got: &[f32], wanted: &[f32]| Tolerance::GRADIENTS.compare(what, got, wanted).err();
     Ok(vec![
         KernelCheck {
-            kernels: &["in_sight", "pick", "read_light", "add_light"],
+            kernels: &["in_sight", "compact_in_sight", "gsw_inputs", "gsw_colours"],
             off: Tolerance::BLENDED.compare("tinted colours", &shown, &tinted).err(),
         },
         KernelCheck {
-            kernels: &["take_light", "convolve_weights", "in_sight", "pick"],
+            kernels: &["gsw_colours_backward", "convolve_weights", "in_sight", "compact_in_sight"],
             off: compare("gradients of the small networks", &weights[border..], &wanted[border..]),
         },
         KernelCheck {
-            kernels: &["read_light_backward"],
+            kernels: &["gsw_inputs_backward"],
             off: compare(
                 "gradients of the embeddings",
                 &embeddings_of(&by_device),
@@ -272,11 +282,11 @@ fn lighting(
             ),
         },
         KernelCheck {
-            kernels: &["map_sums", "read_light_backward", "visibility"],
+            kernels: &["map_sums", "gsw_inputs_backward", "visibility_gradient"],
             off: compare("gradients of the photo's network", &weights[..head], &wanted[..head]),
         },
         KernelCheck {
-            kernels: &["visibility"],
+            kernels: &["visibility_gradient"],
             off: compare("gradients of its head", &weights[head..border], &wanted[head..border]),
         },
     ])

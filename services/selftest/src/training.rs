@@ -121,7 +121,7 @@ pub fn training(
         vec![
             off(&["select"], reshaped),
             off(&["tint"], blended),
-            off(&["tint_backward", "adam", "total"], rest),
+            off(&["tint_backward", "adam", "sum_groups"], rest),
         ]
     } else {
         vec![

@@ -31,7 +31,7 @@ pub fn check_view(engine: &GpuEngine) -> Result<Vec<KernelCheck>, RasterError> {
         footprints = footprints.and_then(|()| Ok(lists.shape(i, &alpha)?));
     }
     add(&["project"], footprints);
-    add(&["order", "emit", "ranges"], lists.tiles_are_right().map_err(Mismatch::from));
+    add(&["sorted_tile_counts", "emit", "ranges"], lists.tiles_are_right().map_err(Mismatch::from));
     add(&["bucket_count", "buckets"], lists.buckets_are_right().map_err(Mismatch::from));
     let mut random = Random::new(5);
     let values: Vec<f32> = (0..3 * splats.len()).map(|_| random.uniform() - 0.5).collect();
@@ -50,7 +50,7 @@ pub fn check_view(engine: &GpuEngine) -> Result<Vec<KernelCheck>, RasterError> {
     let grad = FrameGrad { image: &grad, alpha: Some(&alpha) };
     let g = found.backward(&channels, &a, &grad)?;
     let w = right.backward(&channels, &b, &grad)?;
-    add(&["front", "backward", "unproject"], gradients(&g, &w));
+    add(&["bucket_states", "backward", "project_backward"], gradients(&g, &w));
     Ok(checked)
 }
 

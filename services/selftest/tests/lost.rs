@@ -33,7 +33,7 @@ fn a_kernel_that_does_not_compile_is_an_error_that_names_the_device() {
         return;
     };
     let adapter = &gpu.adapter().name;
-    for kernel in ["project", "blend", "gather", "unproject"] {
+    for kernel in ["project", "blend", "gather", "project_backward"] {
         let error = gradients(&without(kernel, adapter)).expect_err("one kernel is none");
         let text = error.to_string();
         assert!(matches!(error, RasterError::Device(_)), "{kernel}: {text}");
@@ -48,8 +48,17 @@ fn a_training_whose_kernel_does_not_compile_ends_in_words() {
     let settled = held_with_embeddings(splats(7, 100, (0.02, 0.2)));
     let rules = rules(0.01);
     let light = EmbedAppearance::new(1, 3).photo(0);
-    let compared =
-        ["compose", "tally", "limits", "weigh", "structure", "slope", "grade", "sky_sums", "total"];
+    let compared = [
+        "compose",
+        "residual_histogram",
+        "residual_limits",
+        "pixel_weights",
+        "ssim",
+        "l1_ssim_backward",
+        "compose_backward",
+        "sky_sums",
+        "sum_groups",
+    ];
     for kernel in
         ["shade", "tint", "tint_backward", "shade_backward", "observe", "adam"].into_iter().chain(compared)
     {
@@ -71,7 +80,7 @@ fn the_cpu_engine_takes_over_in_the_middle_of_a_step() {
     let wanted = gradients(&CpuEngine::new()).expect("the CPU engine computes");
     let reported = Arc::new(Mutex::new(Vec::new()));
     let reports = reported.clone();
-    let lost = without("unproject", &gpu.adapter().name);
+    let lost = without("project_backward", &gpu.adapter().name);
     let reports = move |why: &str| reports.lock().expect("nothing panics").push(why.to_owned());
     let engine = FallbackEngine::new(Box::new(lost), Box::new(CpuEngine::new()), reports);
     let half = gradients(&engine).expect("the CPU engine goes on");

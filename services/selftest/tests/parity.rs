@@ -255,7 +255,7 @@ const FAULTS: &[(&str, &str, &str, &str)] = &[
     ("scan", "plus(before, held[k])", "held[k]", "blend"),
     ("scan_add", "i / 1024u", "i / 2048u", "blend"),
     ("scatter", "+ rank[k]", "", "blend"),
-    ("order", "counts[sorted[k]]", "counts[sorted[k] ^ 1u]", "blend"),
+    ("sorted_tile_counts", "counts[sorted[k]]", "counts[sorted[k] ^ 1u]", "blend"),
     ("emit", "column < columns.y &&", "column + 1u < columns.y &&", "blend"),
     ("ranges", "1u] = j + 1u", "1u] = j", "blend"),
     ("bucket_count", "+ BUCKET - 1u", "", "gather"),
@@ -264,11 +264,11 @@ const FAULTS: &[(&str, &str, &str, &str)] = &[
     ("blend", "] = light;", "] = 0.9 * light;", "gather"),
     ("gather", "min(hit.raw, ALPHA_MAX) * t", "min(hit.raw, 0.9) * t", "gather"),
     ("sum_slots", "k < own.y", "k + 1u < own.y", "gather"),
-    ("front", "passed += weight * lean", "passed += 0.9 * weight * lean", "backward"),
+    ("bucket_states", "passed += weight * lean", "passed += 0.9 * weight * lean", "backward"),
     ("backward", "let rest = remaining[p] - passed;", "let rest = remaining[p];", "backward"),
     ("backward", "abs(x), abs(y)", "x, y", "screen_abs"),
-    ("unproject", "0.5 * a * a", "0.4 * a * a", "backward"),
-    ("unproject", "dot(dq, p.quat)", "0.9 * dot(dq, p.quat)", "rotations"),
+    ("project_backward", "0.5 * a * a", "0.4 * a * a", "backward"),
+    ("project_backward", "dot(dq, p.quat)", "0.9 * dot(dq, p.quat)", "rotations"),
 ];
 
 #[test]

@@ -358,7 +358,7 @@ fn the_doctor_compares_the_kernels_of_an_accelerator() {
     assert!(device.contains("subgroups"), "{device}");
     let stderr = works(&["doctor", "--kernels"]);
     assert!(
-        stderr.contains("unproject") && stderr.lines().all(|line| line.contains("as on the CPU")),
+        stderr.contains("project_backward") && stderr.lines().all(|line| line.contains("as on the CPU")),
         "{stderr}"
     );
 }

@@ -17,7 +17,7 @@
 @group(0) @binding(7) var<storage, read_write> states: array<vec2f>;
 // `[tile][pixel of the tile]`.
 @group(0) @binding(8) var<storage, read_write> totals: array<f32>;
-#import lean
+#import weight_grad
 
 var<workgroup> lit: atomic<u32>;
 var<workgroup> print_p: array<vec4f, BUCKET>;
