@@ -1,4 +1,4 @@
-// A map from another, or from the sum of two (twins: `Map::add`, `Map::beside` and `Map::split` in nn/src/map.rs). One
+// A map from another, or from the sum of two (twins: `Map::add`, `Map::concat` and `Map::split` in nn/src/map.rs). One
 // thread per number.
 #import common
 #import layer
@@ -9,7 +9,7 @@
 @group(0) @binding(2) var<storage, read_write> maps: array<f32>;
 
 @compute @workgroup_size(256)
-fn join(
+fn add_maps(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,

@@ -23,7 +23,7 @@
 
 var<workgroup> light: array<f32, PIXELS>;
 var<workgroup> remaining: array<f32, PIXELS>;
-var<workgroup> grad: array<vec4f, PIXELS * HELD>;
+var<workgroup> grad: array<vec4f, PIXELS * REGISTERS>;
 
 @compute @workgroup_size(64)
 fn backward(
@@ -46,13 +46,13 @@ fn backward(
         let at = pixel_of(bucket.x, p, view.frame.z);
         if at.x < view.frame.x && at.y < view.frame.y {
             for (var b = 0u; b < BLOCKS; b += 1u) {
-                grad[p * HELD + b] = grads[(at.y * view.frame.x + at.x) * BLOCKS + b];
+                grad[p * REGISTERS + b] = grads[(at.y * view.frame.x + at.x) * BLOCKS + b];
             }
         }
     }
     var f: Footprint;
     var entry = vec2u(0u, 0u);
-    var value: array<vec4f, HELD>;
+    var value: array<vec4f, REGISTERS>;
     if local < bucket.z {
         entry = entries[bucket.y + local];
         f = footprint(footprints[2u * entry.x], footprints[2u * entry.x + 1u]);
@@ -74,14 +74,14 @@ fn backward(
                     let alpha = min(hit.raw, ALPHA_MAX);
                     let weight = alpha * t;
                     light[p] = t - weight;
-                    var lean = 0.0;
+                    var weight_grad = 0.0;
                     if BLOCKS == 0u {
-                        lean = lean_far(entry.x, at.y * view.frame.x + at.x, job.x);
+                        weight_grad = weight_grad_from_memory(entry.x, at.y * view.frame.x + at.x, job.x);
                     }
                     for (var b = 0u; b < BLOCKS; b += 1u) {
-                        lean += dot(value[b], grad[p * HELD + b]);
+                        weight_grad += dot(value[b], grad[p * REGISTERS + b]);
                     }
-                    let passed = weight * lean;
+                    let passed = weight * weight_grad;
                     let rest = remaining[p] - passed;
                     remaining[p] = rest;
                     // Held at ALPHA_MAX, alpha follows no parameter.

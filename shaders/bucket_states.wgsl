@@ -1,6 +1,6 @@
 // The state from which `backward` starts at each bucket: the light, and the gradient times what has been passed, per
-// pixel; and the gradient times the total. The same walk as `blend`, with the dot product of values and gradients as
-// the value.
+// pixel; and the gradient times the total. The same walk as `blend`, with the gradient by the blending weight
+// (`weight_grad.wgsl`) as the value.
 #import common
 #import view
 #import footprint
@@ -23,10 +23,10 @@ var<workgroup> lit: atomic<u32>;
 var<workgroup> print_p: array<vec4f, BUCKET>;
 var<workgroup> print_q: array<vec4f, BUCKET>;
 var<workgroup> splats: array<u32, BUCKET>;
-var<workgroup> value: array<vec4f, BUCKET * HELD>;
+var<workgroup> value: array<vec4f, BUCKET * REGISTERS>;
 
 @compute @workgroup_size(256)
-fn front(
+fn bucket_states(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
@@ -42,7 +42,7 @@ fn front(
     let pixel = vec2f(at) + 0.5;
     var light = select(0.0, 1.0, inside);
     var passed = 0.0;
-    var grad: array<vec4f, HELD>;
+    var grad: array<vec4f, REGISTERS>;
     if inside {
         for (var b = 0u; b < BLOCKS; b += 1u) {
             grad[b] = grads[position * BLOCKS + b];
@@ -70,7 +70,7 @@ fn front(
                 print_q[k] = footprints[2u * splat + 1u];
             }
             if lane < BLOCKS {
-                value[k * HELD + lane] = values[splat * BLOCKS + lane];
+                value[k * REGISTERS + lane] = values[splat * BLOCKS + lane];
             }
         }
         workgroupBarrier();
@@ -84,14 +84,14 @@ fn front(
             if hit.raw >= ALPHA_MIN {
                 let weight = min(hit.raw, ALPHA_MAX) * light;
                 light -= weight;
-                var lean = 0.0;
+                var weight_grad = 0.0;
                 if BLOCKS == 0u {
-                    lean = lean_far(splats[i], position, job.x);
+                    weight_grad = weight_grad_from_memory(splats[i], position, job.x);
                 }
                 for (var b = 0u; b < BLOCKS; b += 1u) {
-                    lean += dot(value[i * HELD + b], grad[b]);
+                    weight_grad += dot(value[i * REGISTERS + b], grad[b]);
                 }
-                passed += weight * lean;
+                passed += weight * weight_grad;
             }
         }
         workgroupBarrier();

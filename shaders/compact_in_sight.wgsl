@@ -10,7 +10,7 @@
 @group(0) @binding(3) var<storage, read_write> count: array<u32>;
 
 @compute @workgroup_size(256)
-fn pick(
+fn compact_in_sight(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,

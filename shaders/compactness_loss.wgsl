@@ -20,7 +20,7 @@ alias Summed = f32;
 @group(0) @binding(7) var<storage, read_write> losses: array<f32>;
 
 @compute @workgroup_size(256)
-fn pairs(
+fn compactness_loss(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,

@@ -23,7 +23,7 @@ alias Summed = vec4f;
 @group(0) @binding(7) var<storage, read_write> parts: array<vec4f>;
 
 @compute @workgroup_size(256)
-fn grade(
+fn compose_backward(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,

@@ -10,7 +10,7 @@
 @group(0) @binding(4) var<storage, read_write> point_grads: array<f32>;
 
 @compute @workgroup_size(256)
-fn take_light(
+fn gsw_colours_backward(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,

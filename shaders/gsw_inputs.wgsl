@@ -26,7 +26,7 @@ fn put(plane: u32, first: u32, k: u32, value: f32) {
 }
 
 @compute @workgroup_size(256)
-fn read_light(
+fn gsw_inputs(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,

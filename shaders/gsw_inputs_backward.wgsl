@@ -16,7 +16,7 @@
 @group(0) @binding(7) var<storage, read_write> embedding_grads: array<f32>;
 
 @compute @workgroup_size(256)
-fn read_light_backward(
+fn gsw_inputs_backward(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,

@@ -15,7 +15,7 @@ alias Summed = f32;
 @group(0) @binding(3) var<storage, read> shown: array<vec4f>;
 @group(0) @binding(4) var<storage, read> photo: array<u32>;
 @group(0) @binding(5) var<storage, read> weights: array<f32>;
-@group(0) @binding(6) var<storage, read> slopes: array<vec4f>;
+@group(0) @binding(6) var<storage, read> derivatives: array<vec4f>;
 // Channel by channel.
 @group(0) @binding(7) var<storage, read_write> by_shown: array<f32>;
 // Sum of the absolute differences per channel and tile.
@@ -34,7 +34,7 @@ fn along_at(k: u32) -> vec3f {
 }
 
 @compute @workgroup_size(256)
-fn slope(
+fn l1_ssim_backward(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
@@ -44,7 +44,7 @@ fn slope(
         let position = position_of(tile, k, view.frame.z);
         var x = vec3f(0.0);
         if inside(position, view.frame) && tile < job.x {
-            x = slopes[u32(position.y) * view.frame.x + u32(position.x)].xyz;
+            x = derivatives[u32(position.y) * view.frame.x + u32(position.x)].xyz;
         }
         near[k] = x.x;
         near[WIDE * WIDE + k] = x.y;

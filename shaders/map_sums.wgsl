@@ -7,11 +7,11 @@
 // y: first splat of the piece.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> reader: Reader;
-// Of `read_light`, sorted, and the original index of each.
+// Of `gsw_inputs`, sorted, and the original index of each.
 @group(0) @binding(2) var<storage, read> keys: array<u32>;
 @group(0) @binding(3) var<storage, read> items: array<u32>;
 @group(0) @binding(4) var<storage, read> points: array<f32>;
-// Of `read_light_backward`.
+// Of `gsw_inputs_backward`.
 @group(0) @binding(5) var<storage, read> point_grads: array<f32>;
 // Laid out as the photo's maps.
 @group(0) @binding(6) var<storage, read_write> grads: array<f32>;

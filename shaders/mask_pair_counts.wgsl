@@ -10,12 +10,12 @@ alias Summed = vec2f;
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> groups_of: array<u32>;
 @group(0) @binding(2) var<storage, read> sets: array<u32>;
-// Of `units`.
+// Of `unit_features`.
 @group(0) @binding(3) var<storage, read> lengths: array<f32>;
 @group(0) @binding(4) var<storage, read_write> counts: array<vec2f>;
 
 @compute @workgroup_size(256)
-fn mates(
+fn mask_pair_counts(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,

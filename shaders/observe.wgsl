@@ -7,7 +7,7 @@
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> view: View;
 @group(0) @binding(2) var<storage, read> seen: array<vec4f>;
-// Output of `unproject`.
+// Output of `project_backward`.
 @group(0) @binding(3) var<storage, read> grads: array<vec4f>;
 // Per pixel.
 @group(0) @binding(4) var<storage, read> error: array<f32>;

@@ -1,4 +1,4 @@
-// Blame of each part of a photo: its mean residual relative to the limit for transients (twin: `blame` in
+// Mean residual of each part of a photo, relative to the limit for transients (twin: `part_residuals` in
 // objective/src/transients/visibility.rs). One thread per part.
 #import common
 #import loss_inputs
@@ -7,13 +7,13 @@
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> photo: array<u32>;
 @group(0) @binding(2) var<storage, read> smoothed: array<f32>;
-// Of `limits`; the third is that of this visit alone.
+// Of `residual_limits`; the third is that of this visit alone.
 @group(0) @binding(3) var<storage, read> limits: array<f32>;
 // Below 0 where no pixel counts.
-@group(0) @binding(4) var<storage, read_write> blames: array<f32>;
+@group(0) @binding(4) var<storage, read_write> residuals: array<f32>;
 
 @compute @workgroup_size(256)
-fn blame(
+fn part_residuals(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
@@ -36,5 +36,5 @@ fn blame(
             }
         }
     }
-    blames[k] = select(-1.0, sum / f32(many), many > 0u);
+    residuals[k] = select(-1.0, sum / f32(many), many > 0u);
 }

@@ -44,7 +44,7 @@ fn voted_out(i: u32) -> bool {
 }
 
 @compute @workgroup_size(256)
-fn weigh(
+fn pixel_weights(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
@@ -62,10 +62,10 @@ fn weigh(
             kept = !voted_out(i);
         }
         let weight = f32(counts && kept);
-        let lack = shown[i].xyz - colour_of(pixel);
+        let error = shown[i].xyz - colour_of(pixel);
         weights[i] = weight;
         counted[i] = weight * shown[i].w;
-        mine = vec4f(f32(counts), weight, weight * dot(lack, lack), 0.0);
+        mine = vec4f(f32(counts), weight, weight * dot(error, error), 0.0);
     }
     let sum = sum_of_group(local, mine);
     if local == 0u && group * 256u < job.x * job.y {

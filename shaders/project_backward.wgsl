@@ -24,7 +24,7 @@ fn kept3(v: vec3f) -> vec3f {
 }
 
 @compute @workgroup_size(64)
-fn unproject(
+fn project_backward(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,

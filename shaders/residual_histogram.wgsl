@@ -13,7 +13,7 @@
 var<workgroup> here: array<atomic<u32>, BINS>;
 
 @compute @workgroup_size(256)
-fn tally(
+fn residual_histogram(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,

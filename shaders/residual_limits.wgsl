@@ -1,5 +1,5 @@
-// The residuals from which on a pixel is left out (twin: `limits` in objective/src/transients/residuals.rs). One thread: it goes
-// over the bins a few times.
+// The residuals from which on a pixel is left out (twin: `residual_limits` in
+// objective/src/transients/residuals.rs). One thread: it goes over the bins a few times.
 #import common
 #import loss_inputs
 #import bins
@@ -40,7 +40,7 @@ fn threshold(of_held: bool, share: f32) -> f32 {
 }
 
 @compute @workgroup_size(1)
-fn limits_of() {
+fn residual_limits() {
     var pixels = 0u;
     for (var b = 0u; b < BINS; b += 1u) {
         pixels += counts[b];

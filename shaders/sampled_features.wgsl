@@ -10,7 +10,7 @@
 @group(0) @binding(3) var<storage, read_write> features: array<f32>;
 
 @compute @workgroup_size(256)
-fn sampled(
+fn sampled_features(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,

@@ -5,12 +5,12 @@
 // x: first vec4 of the image's channels, y: channels, z: pixels sampled.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> pixels: array<u32>;
-@group(0) @binding(2) var<storage, read> pulls: array<f32>;
+@group(0) @binding(2) var<storage, read> feature_grads: array<f32>;
 // BLOCKS vec4 per pixel.
 @group(0) @binding(3) var<storage, read_write> image: array<vec4f>;
 
 @compute @workgroup_size(256)
-fn add_pull(
+fn sampled_features_backward(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
@@ -25,7 +25,7 @@ fn add_pull(
     for (var l = 0u; l < 4u; l += 1u) {
         let channel = 4u * (job.x + block) + l;
         if channel < job.y {
-            sum[l] = pulls[channel * job.z + pixel];
+            sum[l] = feature_grads[channel * job.z + pixel];
         }
     }
     image[pixels[pixel] * BLOCKS + block] += sum;

@@ -13,7 +13,7 @@
 // Gradients of the colours, and of alpha.
 @group(0) @binding(5) var<storage, read> sums: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> sh_grads: array<f32>;
-// Output of `unproject`; the gradient through the direction is added to the mean's.
+// Output of `project_backward`; the gradient through the direction is added to the mean's.
 @group(0) @binding(7) var<storage, read_write> grads: array<vec4f>;
 
 @compute @workgroup_size(256)

@@ -8,7 +8,7 @@
 @group(0) @binding(3) var<storage, read_write> starts: array<u32>;
 
 @compute @workgroup_size(256)
-fn order(
+fn sorted_tile_counts(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,

@@ -15,7 +15,7 @@ alias Summed = f32;
 @group(0) @binding(3) var<storage, read> photo: array<u32>;
 @group(0) @binding(4) var<storage, read> weights: array<f32>;
 // Three per pixel.
-@group(0) @binding(5) var<storage, read_write> slopes: array<vec4f>;
+@group(0) @binding(5) var<storage, read_write> derivatives: array<vec4f>;
 // Sum of the scores per channel and tile.
 @group(0) @binding(6) var<storage, read_write> parts: array<f32>;
 
@@ -32,7 +32,7 @@ fn maps(x: vec2f) -> vec4f {
 }
 
 @compute @workgroup_size(256)
-fn structure(
+fn ssim(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
@@ -70,16 +70,16 @@ fn structure(
     // Rounding may leave a tiny negative variance in flat parts.
     let b2 = max(m.z - squares, 0.0) + C2;
     let inverse = 1.0 / (b1 * b2);
-    let ssim = a1 * a2 * inverse;
+    let similarity = a1 * a2 * inverse;
     let position = position_of(tile, (local / TILE + REACH) * WIDE + local % TILE + REACH, view.frame.z);
     let there = inside(position, view.frame) && tile < job.x;
     if there {
-        let by_mean = 2.0 * m.y * (a2 - a1) * inverse - 2.0 * m.x * ssim * (b2 - b1) * inverse;
-        let by_squares = -ssim * b1 * inverse;
+        let by_mean = 2.0 * m.y * (a2 - a1) * inverse - 2.0 * m.x * similarity * (b2 - b1) * inverse;
+        let by_squares = -similarity * b1 * inverse;
         let by_product = 2.0 * a1 * inverse;
-        slopes[u32(position.y) * view.frame.x + u32(position.x)] = vec4f(by_mean, by_squares, by_product, 0.0);
+        derivatives[u32(position.y) * view.frame.x + u32(position.x)] = vec4f(by_mean, by_squares, by_product, 0.0);
     }
-    let score = sum_of_group(local, select(0.0, ssim, there));
+    let score = sum_of_group(local, select(0.0, similarity, there));
     if local == 0u && tile < job.x {
         parts[job.y * job.x + tile] = score;
     }

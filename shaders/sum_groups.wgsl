@@ -10,7 +10,7 @@ alias Summed = f32;
 @group(0) @binding(2) var<storage, read_write> results: array<f32>;
 
 @compute @workgroup_size(256)
-fn total(
+fn sum_groups(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,

@@ -1,6 +1,6 @@
 // From the gradients of the tinted colours to those of the splats' own, of their embeddings, and of the photo's
 // parameters (twin: `EmbedAppearance::tint_backward` in objective/src/appearance/embed.rs). One thread per splat; each
-// group writes the sums over its own splats, which `total` adds up.
+// group writes the sums over its own splats, which `sum_groups` adds up.
 #import common
 #import light
 #import sum

@@ -14,7 +14,7 @@
 @group(0) @binding(4) var<storage, read_write> lengths: array<f32>;
 
 @compute @workgroup_size(256)
-fn units(
+fn unit_features(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,

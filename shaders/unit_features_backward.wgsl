@@ -6,16 +6,16 @@
 // x: pixels, y: channels, z: layer that computed the piece's cosines; the next is its backward pass.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> layers: array<Layer>;
-// Of `units`.
+// Of `unit_features`.
 @group(0) @binding(2) var<storage, read> features: array<f32>;
 @group(0) @binding(3) var<storage, read> lengths: array<f32>;
 // Gradients of the piece's unit features, plane by plane.
 @group(0) @binding(4) var<storage, read> grads: array<f32>;
 // Gradients of all pixels' features, plane by plane.
-@group(0) @binding(5) var<storage, read_write> pulls: array<f32>;
+@group(0) @binding(5) var<storage, read_write> feature_grads: array<f32>;
 
 @compute @workgroup_size(256)
-fn pull(
+fn unit_features_backward(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
@@ -33,12 +33,12 @@ fn pull(
         along += features[c * job.x + pixel] * grads[made + c * piece.out_width + k];
     }
     for (var c = 0u; c < job.y; c += 1u) {
-        var pulled = 0.0;
+        var feature_grad = 0.0;
         if length > 0.0 {
             // Each pair was counted from one end.
             let grad = grads[made + c * piece.out_width + k];
-            pulled = 2.0 * (grad - along * features[c * job.x + pixel]) / length;
+            feature_grad = 2.0 * (grad - along * features[c * job.x + pixel]) / length;
         }
-        pulls[c * job.x + pixel] = pulled;
+        feature_grads[c * job.x + pixel] = feature_grad;
     }
 }

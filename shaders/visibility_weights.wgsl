@@ -1,5 +1,5 @@
 // Weights of a photo's pixels by its visibility map, and how much the map and the robust mask leave out (twins:
-// `weights` and `is_sane` in objective/src/transients/visibility.rs). One thread per pixel.
+// `visibility_weights` and `is_plausible` in objective/src/transients/visibility.rs). One thread per pixel.
 #import common
 #import loss_inputs
 #import sum
@@ -10,7 +10,7 @@ alias Summed = vec4f;
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<storage, read> photo: array<u32>;
 @group(0) @binding(2) var<storage, read> maps: array<f32>;
-// Of `weigh`.
+// Of `pixel_weights`.
 @group(0) @binding(3) var<storage, read> weights: array<f32>;
 @group(0) @binding(4) var<storage, read_write> seen: array<f32>;
 // Per group: pixels that count, the weight that the map leaves out, and that of the mask.
@@ -21,7 +21,7 @@ fn map_at(x: u32, y: u32, width: u32) -> f32 {
 }
 
 @compute @workgroup_size(256)
-fn see(
+fn visibility_weights(
     @builtin(workgroup_id) id: vec3u,
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,

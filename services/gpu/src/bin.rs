@@ -3,7 +3,7 @@
 use crate::GpuError;
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::groups::{GROUP, TILE};
-use crate::shaders::{BUCKET_COUNT, BUCKETS, EMIT, ORDER, PROJECT, RANGES};
+use crate::shaders::{BUCKET_COUNT, BUCKETS, EMIT, PROJECT, RANGES, SORTED_TILE_COUNTS};
 use crate::sort::{scan, sort};
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
@@ -124,7 +124,13 @@ pub(crate) fn bin(
     );
     let (_, order) = sort(work, keys, order, n, u32::BITS)?;
     let starts = work.take::<u32>("the splats' first slots", n + 1)?;
-    work.run(&ORDER, 1, [n as u32, 0, 0, 0], &[&order, &counts, &starts], (n + 1).div_ceil(GROUP));
+    work.run(
+        &SORTED_TILE_COUNTS,
+        1,
+        [n as u32, 0, 0, 0],
+        &[&order, &counts, &starts],
+        (n + 1).div_ceil(GROUP),
+    );
     drop(counts);
     scan(work, &starts, n + 1)?;
     let pairs = match capacity {

@@ -6,8 +6,8 @@ use crate::groups::{GROUP, TILE};
 use crate::memory::photos_kept;
 use crate::nets::Visible;
 use crate::shaders::{
-    BLAME, BOX_MEAN, COLOUR_SUMS, COMPOSE, GRADE, LIMITS, PREFER, SEE, SKY_SUMS, SLOPE, STRUCTURE, TALLY,
-    TOTAL, WEIGH,
+    BOX_MEAN, CHOOSE_WEIGHTS, COLOUR_SUMS, COMPOSE, COMPOSE_BACKWARD, L1_SSIM_BACKWARD, PART_RESIDUALS,
+    PIXEL_WEIGHTS, RESIDUAL_HISTOGRAM, RESIDUAL_LIMITS, SKY_SUMS, SSIM, SUM_GROUPS, VISIBILITY_WEIGHTS,
 };
 use bytemuck::{Pod, Zeroable};
 use segwild_objective::background::{BASES, BackgroundSums, ColourSums, HOLD, STRIDE, SkySums};
@@ -188,7 +188,7 @@ pub(crate) fn results_buffer(work: &mut DeviceWork) -> Result<PooledBuffer, GpuE
 }
 
 /// Output of the losses on the device, for the backward pass and for checks of the steps in between.
-pub(crate) struct Graded {
+pub(crate) struct LossBuffers {
     /// In the photo's colours, and the residual.
     pub shown: PooledBuffer,
     pub smoothed: PooledBuffer,
@@ -197,8 +197,8 @@ pub(crate) struct Graded {
     pub grads: PooledBuffer,
     /// Mean error around each pixel.
     pub error: PooledBuffer,
-    /// Targets of the visibility map, where they were requested.
-    pub blames: Option<PooledBuffer>,
+    /// What the visibility map learns from, where it was requested.
+    pub part_residuals: Option<PooledBuffer>,
 }
 
 /// Computes the losses of a rendered image, colour and alpha, against its photo.
@@ -210,7 +210,7 @@ pub(crate) fn compare(
     inputs: &ComparisonInputs,
     loss_inputs: &LossInputs,
     visible: Option<&Visible>,
-) -> Result<Graded, GpuError> {
+) -> Result<LossBuffers, GpuError> {
     let [width, height] = photo.size;
     assert_eq!(
         [loss_inputs.camera.width as usize, loss_inputs.camera.height as usize],
@@ -232,54 +232,55 @@ pub(crate) fn compare(
         smoothed = box_mean(work, &smoothed, photo.size, window(width, height))?;
         let counts = work.take::<u32>("counts of residuals", BINS)?;
         work.clear(&counts);
-        work.run(&TALLY, 1, [n as u32, 0, 0, 0], &[pixels, &smoothed, &counts], groups);
+        work.run(&RESIDUAL_HISTOGRAM, 1, [n as u32, 0, 0, 0], &[pixels, &smoothed, &counts], groups);
         let job = [u32::from(!known.before.is_empty()), 0, 0, 0];
-        work.run(&LIMITS, 1, job, &[loss_uniform, &counts, before, &limits, results], 1);
+        work.run(&RESIDUAL_LIMITS, 1, job, &[loss_uniform, &counts, before, &limits, results], 1);
     }
     let weights = work.take::<f32>("the pixels' weights", n)?;
     let counted = work.take::<f32>("the residuals that count", n)?;
     let parts = work.take::<[f32; 4]>("sums of the residuals", groups)?;
     let job = [width as u32, height as u32, 0, 0];
     let buffers = [loss_uniform, pixels, &smoothed, &limits, &shown, &weights, &counted, &parts];
-    work.run(&WEIGH, 1, job, &buffers, groups);
-    let mut blames = None;
+    work.run(&PIXEL_WEIGHTS, 1, job, &buffers, groups);
+    let mut part_residuals = None;
     if let (Some(visible), LeaveOut::Residual(_)) = (visible, loss_inputs.leave_out) {
-        blames = Some(blame(work, photo, &smoothed, &limits, visible)?);
+        part_residuals = Some(self::part_residuals(work, photo, &smoothed, &limits, visible)?);
         if visible.decides {
             let seen = work.take::<f32>("the visibility weights", n)?;
             let left_out = work.take::<f32>("the share left out", 4)?;
             let packed = |[width, height]: [usize; 2]| (width | height << 16) as u32;
             let job = [packed(photo.size), packed(visible.size), visible.position as u32, 0];
-            work.run(&SEE, 1, job, &[pixels, visible.maps, &weights, &seen, &parts], groups);
-            total(work, &parts, groups, 4, &left_out, 0);
+            work.run(&VISIBILITY_WEIGHTS, 1, job, &[pixels, visible.maps, &weights, &seen, &parts], groups);
+            sum_groups(work, &parts, groups, 4, &left_out, 0);
             let buffers = [loss_uniform, pixels, &seen, &left_out, &shown, &weights, &counted, &parts];
-            work.run(&PREFER, 1, [n as u32, 0, 0, 0], &buffers, groups);
+            work.run(&CHOOSE_WEIGHTS, 1, [n as u32, 0, 0, 0], &buffers, groups);
         }
     }
-    total(work, &parts, groups, 4, results, WEIGHED);
+    sum_groups(work, &parts, groups, 4, results, WEIGHED);
     let error = box_mean(work, &counted, photo.size, ERROR_WINDOW)?;
     drop(counted);
 
     let by_shown = work.take::<f32>("the gradients of the shown colours", 3 * n)?;
-    let slopes = work.take::<[f32; 4]>("derivatives of SSIM", n)?;
+    let ssim_derivatives = work.take::<[f32; 4]>("derivatives of SSIM", n)?;
     let tiles = width.div_ceil(TILE as usize) * height.div_ceil(TILE as usize);
     let scores = work.take::<f32>("scores of SSIM", 3 * tiles)?;
     let differences = work.take::<f32>("sums of differences", 3 * tiles)?;
     for channel in 0..3 {
         let job = [tiles as u32, channel, n as u32, 0];
-        work.run(&STRUCTURE, 1, job, &[view, &shown, pixels, &weights, &slopes, &scores], tiles);
-        let buffers = [view, loss_uniform, &shown, pixels, &weights, &slopes, &by_shown, &differences];
-        work.run(&SLOPE, 1, job, &buffers, tiles);
+        work.run(&SSIM, 1, job, &[view, &shown, pixels, &weights, &ssim_derivatives, &scores], tiles);
+        let buffers =
+            [view, loss_uniform, &shown, pixels, &weights, &ssim_derivatives, &by_shown, &differences];
+        work.run(&L1_SSIM_BACKWARD, 1, job, &buffers, tiles);
     }
-    total(work, &scores, 3 * tiles, 1, results, SCORES);
-    total(work, &differences, 3 * tiles, 1, results, DIFFERENCES);
+    sum_groups(work, &scores, 3 * tiles, 1, results, SCORES);
+    sum_groups(work, &differences, 3 * tiles, 1, results, DIFFERENCES);
 
     let grads = work.take::<[f32; 4]>("the image's gradients", n)?;
     let parts = work.take::<[f32; 12]>("sums for the matrix", groups)?;
     let buffers = [view, loss_uniform, image, pixels, &by_shown, &grads, &parts];
-    work.run(&GRADE, 1, [n as u32, 0, 0, 0], &buffers, groups);
+    work.run(&COMPOSE_BACKWARD, 1, [n as u32, 0, 0, 0], &buffers, groups);
     if loss_inputs.matrix.is_some() {
-        total(work, &parts, groups, 12, results, MATRIX);
+        sum_groups(work, &parts, groups, 12, results, MATRIX);
     }
     if loss_inputs.has_sky {
         let (across, down) = (width.div_ceil(STRIDE), height.div_ceil(STRIDE));
@@ -287,18 +288,18 @@ pub(crate) fn compare(
         let parts = work.take::<[f32; SKY]>("sums for the sky", groups)?;
         let job = [(across * down) as u32, across as u32, 0, 0];
         work.run(&SKY_SUMS, 1, job, &[view, image, pixels, &weights, &parts], groups);
-        total(work, &parts, groups, SKY, results, BACKGROUND);
+        sum_groups(work, &parts, groups, SKY, results, BACKGROUND);
     } else {
         let parts = work.take::<[f32; 4]>("sums for the background", groups)?;
         let buffers = [image, pixels, &shown, &weights, &parts];
         work.run(&COLOUR_SUMS, 1, [n as u32, 0, 0, 0], &buffers, groups);
-        total(work, &parts, groups, 4, results, BACKGROUND);
+        sum_groups(work, &parts, groups, 4, results, BACKGROUND);
     }
-    Ok(Graded { shown, smoothed, weights, grads, error, blames })
+    Ok(LossBuffers { shown, smoothed, weights, grads, error, part_residuals })
 }
 
-/// Blame of each part of a photo.
-fn blame(
+/// Mean residual of each part of a photo, relative to the limit for transients.
+fn part_residuals(
     work: &mut DeviceWork,
     photo: &GpuPhoto,
     smoothed: &PooledBuffer,
@@ -306,10 +307,16 @@ fn blame(
     visible: &Visible,
 ) -> Result<PooledBuffer, GpuError> {
     let ([width, height], [across, down]) = (photo.size, visible.size);
-    let blames = work.take::<f32>("the blame of parts of the photo", across * down)?;
+    let part_residuals = work.take::<f32>("the residuals of parts of the photo", across * down)?;
     let job = [width, height, across, down].map(|n| n as u32);
-    work.run(&BLAME, 1, job, &[&photo.pixels, smoothed, limits, &blames], (across * down).div_ceil(GROUP));
-    Ok(blames)
+    work.run(
+        &PART_RESIDUALS,
+        1,
+        job,
+        &[&photo.pixels, smoothed, limits, &part_residuals],
+        (across * down).div_ceil(GROUP),
+    );
+    Ok(part_residuals)
 }
 
 /// Mean of each pixel over a square window of half width `r`.
@@ -328,7 +335,7 @@ pub(crate) fn box_mean(
 }
 
 /// Adds up the partial sums of groups, `columns` numbers each, into the results.
-pub(crate) fn total(
+pub(crate) fn sum_groups(
     work: &mut DeviceWork,
     parts: &PooledBuffer,
     groups: usize,
@@ -336,7 +343,7 @@ pub(crate) fn total(
     results: &PooledBuffer,
     at: usize,
 ) {
-    work.run(&TOTAL, 1, [groups as u32, columns as u32, at as u32, 0], &[parts, results], columns);
+    work.run(&SUM_GROUPS, 1, [groups as u32, columns as u32, at as u32, 0], &[parts, results], columns);
 }
 
 /// Results of a step on the host.

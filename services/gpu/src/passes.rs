@@ -6,14 +6,14 @@ use crate::GpuError;
 use crate::bin::Binned;
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::groups::GROUP;
-use crate::shaders::{BACKWARD, BLEND, FRONT, GATHER, SUM_SLOTS, UNPROJECT};
+use crate::shaders::{BACKWARD, BLEND, BUCKET_STATES, GATHER, PROJECT_BACKWARD, SUM_SLOTS};
 
 /// Pixels of a tile.
 pub(crate) const PIXELS: usize = 256;
-/// Most vec4 that `front` and `backward` hold in registers; more are read from memory as they come.
+/// Most vec4 that `bucket_states` and `backward` hold in registers; more are read from memory as they come.
 const NEAR: usize = 2;
 
-/// Output of `unproject.wgsl` per splat, four vec4.
+/// Output of `project_backward.wgsl` per splat, four vec4.
 pub(crate) type ShapeGrads = [[f32; 4]; 4];
 
 impl Binned {
@@ -90,7 +90,7 @@ impl Binned {
         let totals = work.take::<f32>("the pixels' totals", self.tile_count * PIXELS)?;
         let job = [blocks as u32, self.bucket_bound as u32, 0, 0];
         work.run(
-            &FRONT,
+            &BUCKET_STATES,
             built,
             job,
             &[&self.view, &self.footprints, &self.entries, &self.tiles, values, image, &states, &totals],
@@ -114,7 +114,7 @@ impl Binned {
         let cloud = &self.cloud;
         let reads =
             [&self.view, &cloud.means, &cloud.log_scales, &cloud.rotations, &self.slots, &moments, &out];
-        work.run(&UNPROJECT, 1, job, &reads, self.splats.div_ceil(64));
+        work.run(&PROJECT_BACKWARD, 1, job, &reads, self.splats.div_ceil(64));
         Ok(out)
     }
 }

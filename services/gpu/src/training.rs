@@ -3,7 +3,7 @@
 
 use crate::GpuError;
 use crate::bin::{Binned, Cloud, bin};
-use crate::compare::{ComparisonInputs, GpuPhoto, Graded, LIGHT, StepReadback, compare, total};
+use crate::compare::{ComparisonInputs, GpuPhoto, LIGHT, LossBuffers, StepReadback, compare, sum_groups};
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::groups::GROUP;
 use crate::nets::{NetworkLighting, PIECE};
@@ -91,10 +91,10 @@ impl GpuTraining {
             self.draw(work, loss_inputs.camera, loss_inputs.pose, step.options, light, capacity)?;
         let decides = step.networks.as_ref().is_some_and(|networks| networks.decides);
         let visible = rendered.lighting().and_then(|lighting| lighting.visible(decides));
-        let graded =
+        let loss_buffers =
             compare(work, &rendered.on.view, &rendered.image, photo, &inputs, loss_inputs, visible.as_ref())?;
-        let Graded { grads, error, blames, .. } = &graded;
-        self.learn(work, &rendered, (grads, error, blames.as_ref()), &groups, &inputs.results)?;
+        let LossBuffers { grads, error, part_residuals, .. } = &loss_buffers;
+        self.learn(work, &rendered, (grads, error, part_residuals.as_ref()), &groups, &inputs.results)?;
         StepReadback::read(work, &inputs.results, &rendered.on.found)
     }
 
@@ -156,7 +156,7 @@ impl GpuTraining {
         &self,
         work: &mut DeviceWork,
         rendered: &GpuRender,
-        (by_image, error, blames): (&PooledBuffer, &PooledBuffer, Option<&PooledBuffer>),
+        (by_image, error, part_residuals): (&PooledBuffer, &PooledBuffer, Option<&PooledBuffer>),
         groups: &Groups,
         results: &PooledBuffer,
     ) -> Result<(), GpuError> {
@@ -174,12 +174,12 @@ impl GpuTraining {
                     work.take::<f32>("the embeddings' gradients", n * splat_embeddings.width)?;
                 if let Some(lighting) = lighting {
                     let known = (&shapes.means, &splat_embeddings.values);
-                    lighting.backward(work, &by_colour, known, &by_embedding, blames)?;
+                    lighting.backward(work, &by_colour, known, &by_embedding, part_residuals)?;
                 }
                 let sums = work.take::<EmbedLight>("the light's gradients", each)?;
                 let buffers = [photo, colours, &splat_embeddings.values, &by_colour, &by_embedding, &sums];
                 work.run(&TINT_BACKWARD, 1, splat_embeddings.job(n), &buffers, each);
-                total(work, &sums, each, size_of::<EmbedLight>() / 4, results, LIGHT);
+                sum_groups(work, &sums, each, size_of::<EmbedLight>() / 4, results, LIGHT);
                 Some(by_embedding)
             }
             None => None,

@@ -45,7 +45,7 @@ impl Op {
     /// Whether it reads a map.
     pub fn reads(&self, map: Id) -> bool {
         let other = match self.what {
-            OpKind::Join(other) | OpKind::Beside(other) => Some(other),
+            OpKind::Add(other) | OpKind::Concat(other) => Some(other),
             OpKind::Conv(_) | OpKind::Up(_) | OpKind::Norm(_) => None,
         };
         self.from == map || other == Some(map)
@@ -62,9 +62,9 @@ pub enum OpKind {
     /// A norm; nothing else reads its input.
     Norm(GroupNorm),
     /// The sum with another map.
-    Join(Id),
+    Add(Id),
     /// Another map's planes after its own.
-    Beside(Id),
+    Concat(Id),
 }
 
 /// The maps of a network, inputs first, and the operations in their order.
@@ -142,20 +142,20 @@ impl NetworkGraph {
     ///
     /// # Panics
     /// If they are not.
-    pub fn join(&mut self, [from, other]: [Id; 2], relu: bool) -> Id {
+    pub fn sum(&mut self, [from, other]: [Id; 2], relu: bool) -> Id {
         assert_eq!(self.forms[from], self.forms[other], "forms");
-        self.add(self.forms[from], OpKind::Join(other), from, relu)
+        self.add(self.forms[from], OpKind::Add(other), from, relu)
     }
 
     /// The planes of two maps of one size.
     ///
     /// # Panics
     /// If they are not.
-    pub fn beside(&mut self, [from, other]: [Id; 2]) -> Id {
+    pub fn concat(&mut self, [from, other]: [Id; 2]) -> Id {
         let [a, b] = [from, other].map(|id| self.forms[id]);
         assert_eq!(a.halved, b.halved, "sizes");
         let form = Form { channels: a.channels + b.channels, halved: a.halved };
-        self.add(form, OpKind::Beside(other), from, false)
+        self.add(form, OpKind::Concat(other), from, false)
     }
 
     /// Runs the network on `given`, one map per input.
@@ -177,12 +177,12 @@ impl NetworkGraph {
                     *norm = Some(state);
                     made
                 }
-                OpKind::Join(other) => {
+                OpKind::Add(other) => {
                     let mut sum = of(op.from).clone();
                     sum.add(of(*other));
                     sum
                 }
-                OpKind::Beside(other) => of(op.from).beside(of(*other)),
+                OpKind::Concat(other) => of(op.from).concat(of(*other)),
             };
             maps[op.to] = Some(if op.relu { made.relu() } else { made });
         }
@@ -220,11 +220,11 @@ impl NetworkGraph {
                     let state = norm.as_ref().expect("left by the forward pass");
                     give(&mut grads, op.from, layer.backward(weights, state, grad, sums));
                 }
-                OpKind::Join(other) => {
+                OpKind::Add(other) => {
                     give(&mut grads, op.from, grad.clone());
                     give(&mut grads, *other, grad);
                 }
-                OpKind::Beside(other) => {
+                OpKind::Concat(other) => {
                     let (first, second) = grad.split(self.forms[op.from].channels);
                     give(&mut grads, op.from, first);
                     give(&mut grads, *other, second);

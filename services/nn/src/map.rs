@@ -36,7 +36,7 @@ impl Map {
     ///
     /// # Panics
     /// If the sizes differ.
-    pub fn beside(&self, other: &Map) -> Map {
+    pub fn concat(&self, other: &Map) -> Map {
         assert_eq!((self.height, self.width), (other.height, other.width), "sizes");
         let data = [self.data.as_slice(), &other.data].concat();
         Map { channels: self.channels + other.channels, height: self.height, width: self.width, data }

@@ -76,13 +76,13 @@ impl UNetBuilder<'_> {
             true => self.double(&format!("{name}.round"), from, output, (1, stride), false),
             false => from,
         };
-        self.graph.join([made, round], true)
+        self.graph.sum([made, round], true)
     }
 
     /// A step of the decoder: twice the size, joined by what the encoder had there.
     fn step(&mut self, name: &str, from: Id, skip: Id, output: usize) -> Id {
         let raised = self.raise(&format!("{name}.up"), from, output, false);
-        let joined = self.graph.beside([raised, skip]);
+        let joined = self.graph.concat([raised, skip]);
         let middle = self.double(&format!("{name}.first"), joined, output, (3, 1), true);
         self.double(&format!("{name}.second"), middle, output, (3, 1), true)
     }
@@ -115,7 +115,7 @@ impl UNet {
         for (k, &output) in shape.decoder.iter().enumerate() {
             at = plan.step(&format!("{name}.decoder{k}"), at, sizes[3 - k], output);
         }
-        let joined = plan.graph.beside([at, beside]);
+        let joined = plan.graph.concat([at, beside]);
         let planes = [shape.decoder[3] + shape.beside, shape.output];
         let last = Conv::new(plan.layout, &format!("{name}.maps"), planes, 1, 1);
         let maps = plan.graph.conv(last, joined, false);

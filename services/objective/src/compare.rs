@@ -92,7 +92,7 @@ pub struct Compared {
     pub weights: Image,
     /// Per part of [`VisibilityMap::map`], the mean residual relative to the limit for transients, `None` where no pixel
     /// counts; empty where it was not requested.
-    pub blame: Vec<Option<f32>>,
+    pub part_residuals: Vec<Option<f32>>,
 }
 
 /// Computes the losses of a frame against a photo, and their gradients. A visibility map takes part where
@@ -109,7 +109,7 @@ pub fn compare(
 ) -> Compared {
     let Composed { background, scene, shown, residual } = compose(frame, target, loss_inputs);
     let photo = target.image();
-    let (mut residuals, mut blame) = (None, Vec::new());
+    let (mut residuals, mut part_residuals) = (None, Vec::new());
     let kept = match loss_inputs.leave_out {
         LeaveOut::None => None,
         LeaveOut::InitialTransients => {
@@ -125,8 +125,8 @@ pub fn compare(
             residuals = held;
             let seen = seeing.and_then(|&VisibilityMap { map, decides }| {
                 let ratio = relative(&uncertain, target.width, counts, before.share);
-                blame = transients::blame(map, &ratio, target);
-                decides.then(|| transients::weights(map, target, kept.as_deref(), before.share))?
+                part_residuals = transients::part_residuals(map, &ratio, target);
+                decides.then(|| transients::visibility_weights(map, target, kept.as_deref(), before.share))?
             });
             seen.or(kept)
         }
@@ -159,7 +159,7 @@ pub fn compare(
         alpha,
         error,
         weights,
-        blame,
+        part_residuals,
     }
 }
 

@@ -179,14 +179,14 @@ const SHOWN: Tolerance = Tolerance { tight: 1e-5, flips: 0.0, loose: 1e-5 };
 const WEIGHTS: Tolerance = Tolerance { tight: 1e-6, flips: 0.002, loose: 2.0 };
 /// The same with a visibility map: its weights come from an exponential and a division, which WGSL lets be off by
 /// several units in the last place (1.5e-6 on an NVIDIA H200).
-const SEEN: Tolerance = Tolerance { tight: 1e-5, ..WEIGHTS };
+const WITH_MAP: Tolerance = Tolerance { tight: 1e-5, ..WEIGHTS };
 /// Gradients, next to such a pixel as well.
-const SLOPES: Tolerance = Tolerance { tight: 1e-3, flips: 0.02, loose: 10.0 };
+const GRADS: Tolerance = Tolerance { tight: 1e-3, flips: 0.02, loose: 10.0 };
 
 /// Shares of a histogram: a pixel at the edge of a bin falls on either side.
 const SHARES: Tolerance = Tolerance { tight: 0.02, flips: 0.1, loose: 0.1 };
 /// Errors around pixels, next to one that is decided otherwise as well.
-const GRADED: Tolerance = Tolerance { tight: 1e-3, flips: 0.02, loose: 2.0 };
+const ERRORS: Tolerance = Tolerance { tight: 1e-3, flips: 0.02, loose: 2.0 };
 
 /// Compares the losses of a case on the device with those on the host, kernel by kernel.
 pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<KernelCheck>, RasterError> {
@@ -212,12 +212,16 @@ pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<KernelCh
         let (got, wanted) = (&got.output.residuals, &wanted.output.residuals);
         add(&["residual_histogram", "residual_limits"], SHARES.compare("shares", some(got), some(wanted)));
     }
-    if let Some(blames) = &got.blames {
-        let wanted: Vec<f32> = wanted.blame.iter().map(|blame| blame.unwrap_or(-1.0)).collect();
-        add(&["part_residuals", "residual_limits"], SUMS.compare("blames", blames, &wanted));
+    if let Some(part_residuals) = &got.part_residuals {
+        let wanted: Vec<f32> =
+            wanted.part_residuals.iter().map(|residual| residual.unwrap_or(-1.0)).collect();
+        add(
+            &["part_residuals", "residual_limits"],
+            SUMS.compare("residuals of parts", part_residuals, &wanted),
+        );
     }
     let (kernels, tolerance): (&[&str], _) = if test_case.map.is_some() {
-        (&["visibility_weights", "choose_weights"], SEEN)
+        (&["visibility_weights", "choose_weights"], WITH_MAP)
     } else {
         (&["pixel_weights", "residual_limits"], WEIGHTS)
     };
@@ -229,7 +233,7 @@ pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<KernelCh
     );
     add(
         &["box_mean", "pixel_weights", "choose_weights"],
-        GRADED.compare("errors", &got.error, &wanted.error.data),
+        ERRORS.compare("errors", &got.error, &wanted.error.data),
     );
     let Compared { output, image, alpha, .. } = wanted;
     add(&["ssim", "l1_ssim_backward"], SUMS.compare("loss", &[got.output.loss], &[output.loss]));
@@ -239,7 +243,7 @@ pub fn compared(engine: &GpuEngine, test_case: &TestCase) -> Result<Vec<KernelCh
     } else {
         &["ssim", "l1_ssim_backward", "compose_backward"]
     };
-    add(kernels, SLOPES.compare("gradients", &got.grads, &wide));
+    add(kernels, GRADS.compare("gradients", &got.grads, &wide));
     if let (Some(got), Some(wanted)) = (&got.output.matrix, &output.matrix) {
         add(&["compose_backward"], SUMS.compare("gradient of the matrix", got, wanted));
     }

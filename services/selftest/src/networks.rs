@@ -97,8 +97,8 @@ fn small(engine: &GpuEngine) -> Result<Vec<KernelCheck>, GpuError> {
     let mut graph = NetworkGraph::given(&[Form { channels: 3, halved: 0 }]);
     let first = graph.conv(Conv::new(&mut layout, "first", [3, 40], 3, 1), 0, true);
     let second = graph.conv(Conv::new(&mut layout, "second", [40, 40], 1, 1), first, false);
-    let joined = graph.join([first, second], true);
-    let all = graph.beside([joined, first]);
+    let joined = graph.sum([first, second], true);
+    let all = graph.concat([joined, first]);
     let random = &mut Random::new(35);
     let weights = noise(random, layout.len());
     let image = Map { data: noise(random, 3 * 11 * 13), channels: 3, height: 11, width: 13 };
@@ -129,15 +129,15 @@ fn network(
 ) -> Result<Vec<KernelCheck>, GpuError> {
     let random = &mut Random::new(33);
     let right = graph.forward(&weights, given.clone());
-    let pull = |&id: &usize| {
+    let output_grad = |&id: &usize| {
         let data = noise(random, right.of(id).data.len());
         (id, Map { data, ..right.of(id).clone() })
     };
-    let pulls: Vec<(usize, Map)> = results.iter().map(pull).collect();
+    let output_grads: Vec<(usize, Map)> = results.iter().map(output_grad).collect();
     let mut wanted = vec![0.0; weights.len()];
-    graph.backward(&weights, &right, pulls.clone(), &mut wanted);
+    graph.backward(&weights, &right, output_grads.clone(), &mut wanted);
 
-    let run = run_network(engine, graph, &weights, &given, &pulls)?;
+    let run = run_network(engine, graph, &weights, &given, &output_grads)?;
     let got = &run.weight_grads;
 
     let mut checked = Vec::new();
@@ -148,7 +148,7 @@ fn network(
         let kernels: &[&str] = match op.what {
             OpKind::Conv(_) | OpKind::Up(_) => &["convolve"],
             OpKind::Norm(_) => &["norm", "convolve"],
-            OpKind::Join(_) | OpKind::Beside(_) => &["add_maps"],
+            OpKind::Add(_) | OpKind::Concat(_) => &["add_maps"],
         };
         let map = &right.of(op.to).data;
         let got = run.map(op.to, map.len());
@@ -175,7 +175,7 @@ fn network(
             OpKind::Norm(layer) => {
                 (&["norm_backward", "relu_backward", "add_maps", "convolve"], layer.weights())
             }
-            OpKind::Join(_) | OpKind::Beside(_) => continue,
+            OpKind::Add(_) | OpKind::Concat(_) => continue,
         };
         let what = format!("gradients of the weights from {} on", own.start);
         let off = Tolerance::GRADIENTS.compare(&what, &got[own.clone()], &wanted[own]).err();
@@ -221,16 +221,17 @@ fn lighting(
     let below = right.below.tint(0, &right.embeddings_below(&splat_embeddings), colours.clone());
     let tinted = right.tint(0, light.as_ref(), &sight, colours.clone());
     let map = light.as_ref().and_then(|light| light.visible());
-    let blame: Vec<Option<f32>> = map.map_or(Vec::new(), |map| {
+    let part_residuals: Vec<Option<f32>> = map.map_or(Vec::new(), |map| {
         (0..map.pixels()).map(|i| (i % 5 != 1).then(|| 2.5 * random.uniform())).collect()
     });
-    let (_, by_embedding) = right.tint_backward(0, light.as_ref(), &sight, &colours, grad.clone(), &blame);
+    let (_, by_embedding) =
+        right.tint_backward(0, light.as_ref(), &sight, &colours, grad.clone(), &part_residuals);
     let wanted = right.gradients().expect("kept for the next step").concat();
 
     let rules = [Rule { beta1: 0.9, beta2: 0.999, rate: 0.0, epsilon: 1e-8 }; 2];
     let unet_input = draw.and_then(|draw| appearance.unet_input(0, draw));
     let step = NetworksStep { unet_input, draw: draw.unwrap_or(0), decides: false, rules };
-    let blames: Vec<f32> = blame.iter().map(|blame| blame.unwrap_or(-1.0)).collect();
+    let uploaded: Vec<f32> = part_residuals.iter().map(|residual| residual.unwrap_or(-1.0)).collect();
     let networks = UploadedNetworks::upload(engine, &appearance.held())?;
     let known = (splats.means.as_slice(), radii);
     let passes = LightingPasses::upload(
@@ -243,7 +244,7 @@ fn lighting(
         Some(PIECE),
     );
     let LightingResults { colours: shown, embedding_grads: by_device, weight_grads: weights } =
-        passes?.results(&grad, (!blames.is_empty()).then_some(blames.as_slice()))?;
+        passes?.results(&grad, (!uploaded.is_empty()).then_some(uploaded.as_slice()))?;
 
     let visible: Vec<usize> = (0..n).filter(|&i| radii[i] > 0.0).collect();
     let shown: Vec<f32> = visible.iter().flat_map(|&i| &shown[i][..3]).copied().collect();

@@ -264,7 +264,7 @@ const FAULTS: &[(&str, &str, &str, &str)] = &[
     ("blend", "] = light;", "] = 0.9 * light;", "gather"),
     ("gather", "min(hit.raw, ALPHA_MAX) * t", "min(hit.raw, 0.9) * t", "gather"),
     ("sum_slots", "k < own.y", "k + 1u < own.y", "gather"),
-    ("bucket_states", "passed += weight * lean", "passed += 0.9 * weight * lean", "backward"),
+    ("bucket_states", "passed += weight * weight_grad", "passed += 0.9 * weight * weight_grad", "backward"),
     ("backward", "let rest = remaining[p] - passed;", "let rest = remaining[p];", "backward"),
     ("backward", "abs(x), abs(y)", "x, y", "screen_abs"),
     ("project_backward", "0.5 * a * a", "0.4 * a * a", "backward"),

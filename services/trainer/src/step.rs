@@ -96,15 +96,21 @@ impl Trainer {
         let map = light.as_ref().and_then(AppearanceMaps::visible);
         let seeing = map.as_ref().map(|map| VisibilityMap { map, decides: schedule.visible(step) });
         let compared = compare::compare(&frame, &target, &loss_inputs, seeing.as_ref(), perceptual.as_ref());
-        let Compared { output, image, alpha, error, blame, .. } = compared;
+        let Compared { output, image, alpha, error, part_residuals, .. } = compared;
         side.apply(step_photo, &output);
         let channels = Channels { count: 3, values: &channels };
         let grad = FrameGrad { image: &image, alpha: Some(&alpha) };
         let mut grads = projected.backward(&channels, &frame, &grad)?;
         let colour_grads = std::mem::take(&mut grads.values);
         let sight = params.sight(&*projected, pose);
-        let (colour_grads, embedding_grads) =
-            side.appearance.colour_backward(view, light.as_ref(), &sight, &colours, colour_grads, &blame);
+        let (colour_grads, embedding_grads) = side.appearance.colour_backward(
+            view,
+            light.as_ref(),
+            &sight,
+            &colours,
+            colour_grads,
+            &part_residuals,
+        );
         let sh_grads = projected.shade_backward(&colour_grads, &mut grads);
         let error = at_centres(&error, projected.as_ref());
         let seen = StepObservation {

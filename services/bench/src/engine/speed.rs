@@ -33,7 +33,7 @@ const OPTIONS: ProjectOptions = ProjectOptions { low_pass: 0.3, antialias: true,
 pub fn reach(engine: &GpuEngine) -> Result<Reach, GpuError> {
     let mut passes = RatePasses::new(engine)?;
     let ms = repeated(&mut passes, RatePasses::copy)?;
-    let rate = repeated(&mut passes, RatePasses::multiply)?;
+    let rate = repeated(&mut passes, RatePasses::multiply_add)?;
     Ok(Reach { bytes: passes.moved() * 1e3 / ms, operations: RatePasses::OPERATIONS * 1e3 / rate })
 }
 

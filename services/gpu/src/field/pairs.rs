@@ -8,7 +8,10 @@ use crate::GpuError;
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::groups::GROUP;
 use crate::nets::{GpuTape, NetworkPlan};
-use crate::shaders::{ADD_PULL, MATES, PAIRS, PULL, SAMPLED, TOTAL, UNITS};
+use crate::shaders::{
+    COMPACTNESS_LOSS, MASK_PAIR_COUNTS, SAMPLED_FEATURES, SAMPLED_FEATURES_BACKWARD, SUM_GROUPS,
+    UNIT_FEATURES, UNIT_FEATURES_BACKWARD,
+};
 use segwild_objective::field::{Membership, SampledPixels};
 
 /// Pairs of a piece, but for its last column.
@@ -30,7 +33,7 @@ pub(super) struct Pairs {
     plan: NetworkPlan,
     tape: GpuTape,
     /// Gradients of the features, plane after plane.
-    pulls: PooledBuffer,
+    feature_grads: PooledBuffer,
     /// Loss of each pixel.
     losses: PooledBuffer,
 }
@@ -58,7 +61,7 @@ impl Pairs {
             features: work.take::<f32>("the sampled pixels' features", channels * n)?,
             tape: GpuTape::new(work, &plan)?,
             plan,
-            pulls: work.take::<f32>("the gradients of the sampled pixels", channels * n)?,
+            feature_grads: work.take::<f32>("the gradients of the sampled pixels", channels * n)?,
             losses: work.take::<f32>("the losses of the sampled pixels", n)?,
         })
     }
@@ -67,7 +70,7 @@ impl Pairs {
     pub fn take(&self, work: &mut DeviceWork, first: usize, blocks: usize, image: &PooledBuffer) {
         let job = [first, self.channels, self.pixels, 0].map(|n| n as u32);
         let groups = (self.pixels * blocks).div_ceil(GROUP);
-        work.run(&SAMPLED, blocks as u32, job, &[&self.positions, image, &self.features], groups);
+        work.run(&SAMPLED_FEATURES, blocks as u32, job, &[&self.positions, image, &self.features], groups);
     }
 
     /// Compares all pairs.
@@ -78,18 +81,18 @@ impl Pairs {
         let counts = work.take::<[f32; 2]>("how many share a mask", self.pixels)?;
         let results = work.upload("weight and pairs", &[weight, 0.0, 0.0])?;
         let each = self.pixels.div_ceil(GROUP);
-        work.run(&UNITS, 1, [n, channels, 0, 0], &[groups, features, &tape.maps, &lengths], each);
-        work.run(&MATES, 1, [n, words, 0, 0], &[groups, sets, &lengths, &counts], self.pixels);
-        work.run(&TOTAL, 1, [n, 2, 1, 0], &[&counts, &results], 2);
+        work.run(&UNIT_FEATURES, 1, [n, channels, 0, 0], &[groups, features, &tape.maps, &lengths], each);
+        work.run(&MASK_PAIR_COUNTS, 1, [n, words, 0, 0], &[groups, sets, &lengths, &counts], self.pixels);
+        work.run(&SUM_GROUPS, 1, [n, 2, 1, 0], &[&counts, &results], 2);
         work.clear(losses);
         for piece in 0..self.plan.pieces() {
             let layer = 2 * piece as u32;
             tape.forward_piece(work, &self.plan, piece, features, &lengths);
             let buffers = [&tape.layers, groups, sets, &results, &tape.maps, &tape.grads, losses];
-            work.run(&PAIRS, 1, [n, words, layer, 0], &buffers, self.pixels);
+            work.run(&COMPACTNESS_LOSS, 1, [n, words, layer, 0], &buffers, self.pixels);
             tape.backward_piece(work, &self.plan, piece, features, &lengths);
-            let buffers = [&tape.layers, features, &lengths, &tape.grads, &self.pulls];
-            work.run(&PULL, 1, [n, channels, layer, 0], &buffers, each);
+            let buffers = [&tape.layers, features, &lengths, &tape.grads, &self.feature_grads];
+            work.run(&UNIT_FEATURES_BACKWARD, 1, [n, channels, layer, 0], &buffers, each);
         }
         Ok(())
     }
@@ -98,7 +101,13 @@ impl Pairs {
     pub fn add(&self, work: &mut DeviceWork, first: usize, blocks: usize, image: &PooledBuffer) {
         let job = [first, self.channels, self.pixels, 0].map(|n| n as u32);
         let groups = (self.pixels * blocks).div_ceil(GROUP);
-        work.run(&ADD_PULL, blocks as u32, job, &[&self.positions, &self.pulls, image], groups);
+        work.run(
+            &SAMPLED_FEATURES_BACKWARD,
+            blocks as u32,
+            job,
+            &[&self.positions, &self.feature_grads, image],
+            groups,
+        );
     }
 
     /// Loss of each pixel, and the number of pixels.

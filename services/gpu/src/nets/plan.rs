@@ -7,14 +7,16 @@ use super::layer::{ADD, COUNTED, LayerUniform, NOWHERE, RELU};
 use crate::GpuError;
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::groups::GROUP;
-use crate::shaders::{CONVOLVE, CONVOLVE_WEIGHTS, GATE, JOIN, Kernel, NORM, NORM_BACKWARD, SUM_WEIGHTS};
+use crate::shaders::{
+    ADD_MAPS, CONVOLVE, CONVOLVE_WEIGHTS, Kernel, NORM, NORM_BACKWARD, RELU_BACKWARD, SUM_WEIGHTS,
+};
 use segwild_nn::{Id, LayerKind, NetworkGraph, OpKind};
 use std::ops::Range;
 
 /// Planes and columns that a group of `convolve` computes.
 const CONVOLVED: [usize; 2] = [32, 128];
 /// Planes, and weights of each, that a group of `convolve_weights` takes.
-const WEIGHED: [usize; 2] = [32, 128];
+const WEIGHTS_CONVOLVED: [usize; 2] = [32, 128];
 
 /// Groups of `convolve_weights` that keep a device busy.
 const GROUPS: usize = 256;
@@ -31,7 +33,7 @@ enum NetworkKernel {
         groups: usize,
     },
     /// From maps and gradients to those of the weights.
-    GpuWeights {
+    ConvolveWeights {
         layer: u32,
         groups: usize,
         slices: usize,
@@ -43,12 +45,13 @@ enum NetworkKernel {
         layer: u32,
         groups: usize,
     },
-    Join {
+    /// A map from another, or from the sum of two.
+    AddMaps {
         layer: u32,
         numbers: usize,
     },
     /// A ReLU's backward pass, on gradients from a position on.
-    Gate {
+    ReluBackward {
         at: usize,
         numbers: usize,
     },
@@ -109,8 +112,8 @@ impl NetworkPlan {
                     layer.other = plan.maps as u32;
                     plan.maps += numbers + layer.groups();
                 }
-                OpKind::Join(other) => layer.other = plan.positions[*other] as u32,
-                OpKind::Beside(_) => {}
+                OpKind::Add(other) => layer.other = plan.positions[*other] as u32,
+                OpKind::Concat(_) => {}
             }
             forms.push(layer);
             match &op.what {
@@ -119,12 +122,12 @@ impl NetworkPlan {
                     let (groups, layer) = (layer.groups(), plan.layer(layer));
                     plan.forward.push(NetworkKernel::Norm { layer, groups });
                 }
-                OpKind::Join(_) => plan.join(layer, numbers, true),
-                OpKind::Beside(other) => {
-                    plan.join(layer, numbers, true);
+                OpKind::Add(_) => plan.add_maps(layer, numbers, true),
+                OpKind::Concat(other) => {
+                    plan.add_maps(layer, numbers, true);
                     let reads = plan.positions[*other] as u32;
                     let rest = graph.forms()[*other].numbers(image);
-                    plan.join(
+                    plan.add_maps(
                         LayerUniform { reads, writes: layer.writes + numbers as u32, ..layer },
                         rest,
                         true,
@@ -146,12 +149,12 @@ impl NetworkPlan {
         for (op, &layer) in graph.ops().iter().zip(forms).rev() {
             let at = self.positions[op.to];
             if op.relu {
-                self.backward.push(NetworkKernel::Gate { at, numbers: numbers(op.to) });
+                self.backward.push(NetworkKernel::ReluBackward { at, numbers: numbers(op.to) });
             }
             let plain = LayerUniform { flags: 0, other: NOWHERE, reads: layer.writes, ..layer };
             match &op.what {
                 OpKind::Conv(_) | OpKind::Up(_) => {
-                    self.weigh(layer);
+                    self.convolve_weights(layer);
                     if op.from >= graph.inputs() {
                         let back = layer.back(flags(op.from));
                         self.convolve(back, false);
@@ -161,16 +164,16 @@ impl NetworkPlan {
                     let (groups, layer) = (layer.groups(), self.layer(layer));
                     self.backward.push(NetworkKernel::Norm { layer, groups });
                 }
-                OpKind::Join(other) | OpKind::Beside(other) => {
+                OpKind::Add(other) | OpKind::Concat(other) => {
                     let rest = match op.what {
-                        OpKind::Join(_) => 0,
+                        OpKind::Add(_) => 0,
                         _ => numbers(op.from) as u32,
                     };
                     for (id, start) in [(op.from, 0), (*other, rest)] {
                         if id >= graph.inputs() {
                             let (reads, writes) = (plain.reads + start, self.positions[id] as u32);
                             let flags = flags(id);
-                            self.join(LayerUniform { reads, writes, flags, ..plain }, numbers(id), false);
+                            self.add_maps(LayerUniform { reads, writes, flags, ..plain }, numbers(id), false);
                         }
                     }
                 }
@@ -190,10 +193,12 @@ impl NetworkPlan {
         for link in chain.iter().rev() {
             let layer = link.layer(capacity);
             if link.relu {
-                plan.backward
-                    .push(NetworkKernel::Gate { at: link.to * capacity, numbers: link.output * capacity });
+                plan.backward.push(NetworkKernel::ReluBackward {
+                    at: link.to * capacity,
+                    numbers: link.output * capacity,
+                });
             }
-            plan.weigh(layer);
+            plan.convolve_weights(layer);
             let back = LayerUniform { output: link.wanted as u32, ..layer.back(COUNTED) };
             plan.convolve(back, false);
         }
@@ -252,17 +257,17 @@ impl NetworkPlan {
         if forward { self.forward.push(run) } else { self.backward.push(run) }
     }
 
-    fn weigh(&mut self, layer: LayerUniform) {
+    fn convolve_weights(&mut self, layer: LayerUniform) {
         let (output, wide) =
             (layer.output as usize, (layer.input * layer.kernel * layer.kernel) as usize + 1);
-        let tiles = output.div_ceil(WEIGHED[0]) * wide.div_ceil(WEIGHED[1]);
+        let tiles = output.div_ceil(WEIGHTS_CONVOLVED[0]) * wide.div_ceil(WEIGHTS_CONVOLVED[1]);
         let wanted = GROUPS.div_ceil(tiles).min(MOST_SLICES);
         let columns = layer.columns().div_ceil(wanted).max(LEAST_COLUMNS);
         let slices = layer.columns().div_ceil(columns);
         let groups = tiles * slices;
         self.parts = self.parts.max(slices * output * wide);
         let layer = self.layer(layer);
-        self.backward.push(NetworkKernel::GpuWeights {
+        self.backward.push(NetworkKernel::ConvolveWeights {
             layer,
             groups,
             slices,
@@ -271,8 +276,8 @@ impl NetworkPlan {
         });
     }
 
-    fn join(&mut self, layer: LayerUniform, numbers: usize, forward: bool) {
-        let run = NetworkKernel::Join { layer: self.layer(layer), numbers };
+    fn add_maps(&mut self, layer: LayerUniform, numbers: usize, forward: bool) {
+        let run = NetworkKernel::AddMaps { layer: self.layer(layer), numbers };
         if forward { self.forward.push(run) } else { self.backward.push(run) }
     }
 
@@ -290,12 +295,14 @@ impl NetworkPlan {
     /// and every weight written and read once.
     pub fn floor(&self, weights: usize) -> (f64, f64) {
         let products = |run: &NetworkKernel| match *run {
-            NetworkKernel::Convolve { layer, .. } | NetworkKernel::GpuWeights { layer, .. } => {
+            NetworkKernel::Convolve { layer, .. } | NetworkKernel::ConvolveWeights { layer, .. } => {
                 let layer = &self.layers[layer as usize];
                 let taps = (layer.input * layer.kernel * layer.kernel) as f64;
                 2.0 * taps * f64::from(layer.output) * layer.columns() as f64
             }
-            NetworkKernel::Norm { .. } | NetworkKernel::Join { .. } | NetworkKernel::Gate { .. } => 0.0,
+            NetworkKernel::Norm { .. }
+            | NetworkKernel::AddMaps { .. }
+            | NetworkKernel::ReluBackward { .. } => 0.0,
         };
         let operations = self.forward.iter().chain(&self.backward).map(products).sum();
         (8.0 * (self.maps + self.grads + weights) as f64, operations)
@@ -376,8 +383,10 @@ impl GpuTape {
                 NetworkKernel::Norm { layer, groups } => {
                     work.run(&NORM, 1, [layer, 0, 0, 0], &[layers, weights, maps], groups);
                 }
-                NetworkKernel::Join { layer, numbers } => each(work, &JOIN, layer, numbers, &[layers, maps]),
-                NetworkKernel::GpuWeights { .. } | NetworkKernel::Gate { .. } => {
+                NetworkKernel::AddMaps { layer, numbers } => {
+                    each(work, &ADD_MAPS, layer, numbers, &[layers, maps])
+                }
+                NetworkKernel::ConvolveWeights { .. } | NetworkKernel::ReluBackward { .. } => {
                     unreachable!("in the backward pass only")
                 }
             }
@@ -399,7 +408,7 @@ impl GpuTape {
                 NetworkKernel::Convolve { .. } => {
                     self.convolve(work, *run, grads, weights.values, in_sight, first)
                 }
-                NetworkKernel::GpuWeights { layer, groups, slices, columns, numbers } => {
+                NetworkKernel::ConvolveWeights { layer, groups, slices, columns, numbers } => {
                     let job = [layer, first as u32, slices as u32, columns as u32];
                     work.run(&CONVOLVE_WEIGHTS, 1, job, &[layers, maps, grads, parts, in_sight], groups);
                     let job = [layer, slices as u32, 0, 0];
@@ -409,8 +418,12 @@ impl GpuTape {
                     let buffers = [layers, weights.values, maps, grads, weights.grads];
                     work.run(&NORM_BACKWARD, 1, [layer, 0, 0, 0], &buffers, groups);
                 }
-                NetworkKernel::Join { layer, numbers } => each(work, &JOIN, layer, numbers, &[layers, grads]),
-                NetworkKernel::Gate { at, numbers } => each(work, &GATE, at as u32, numbers, &[maps, grads]),
+                NetworkKernel::AddMaps { layer, numbers } => {
+                    each(work, &ADD_MAPS, layer, numbers, &[layers, grads])
+                }
+                NetworkKernel::ReluBackward { at, numbers } => {
+                    each(work, &RELU_BACKWARD, at as u32, numbers, &[maps, grads])
+                }
             }
         }
     }

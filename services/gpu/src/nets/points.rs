@@ -7,7 +7,8 @@ use crate::GpuError;
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::groups::GROUP;
 use crate::shaders::{
-    ADD_LIGHT, IN_SIGHT, MAP_SUMS, PICK, READ_LIGHT, READ_LIGHT_BACKWARD, TAKE_LIGHT, VISIBILITY,
+    COMPACT_IN_SIGHT, GSW_COLOURS, GSW_COLOURS_BACKWARD, GSW_INPUTS, GSW_INPUTS_BACKWARD, IN_SIGHT, MAP_SUMS,
+    VISIBILITY_GRADIENT,
 };
 use crate::sort::{scan, sort};
 use bytemuck::{Pod, Zeroable};
@@ -238,7 +239,13 @@ impl<'a> NetworkLighting<'a> {
         let job = [n as u32, 0, 0, 0];
         work.run(&IN_SIGHT, 1, job, &[seen, &positions], (n + 1).div_ceil(GROUP));
         scan(work, &positions, n + 1)?;
-        work.run(&PICK, 1, job, &[&positions, &self.which, &self.count], n.max(1).div_ceil(GROUP));
+        work.run(
+            &COMPACT_IN_SIGHT,
+            1,
+            job,
+            &[&positions, &self.which, &self.count],
+            n.max(1).div_ceil(GROUP),
+        );
         if let Some(photo) = &self.photo {
             work.copy_to(&photo.given, &photo.tape.maps, 0, 4 * photo.numbers);
             photo.tape.forward(work, &photo.plan, &self.networks.weights, &self.count, 0);
@@ -248,7 +255,7 @@ impl<'a> NetworkLighting<'a> {
             let output = (self.planes.output * self.capacity) as u32;
             let job = [self.capacity as u32, first as u32, output, 0];
             let buffers = [&self.which, &self.count, &self.tape.maps, colours];
-            work.run(&ADD_LIGHT, 1, job, &buffers, self.capacity.div_ceil(GROUP));
+            work.run(&GSW_COLOURS, 1, job, &buffers, self.capacity.div_ceil(GROUP));
         }
         Ok(())
     }
@@ -270,19 +277,20 @@ impl<'a> NetworkLighting<'a> {
         let job = [self.splats as u32, first as u32, 0, 0];
         let NetworkLighting { reader, which, count, tape, keys, items, .. } = self;
         let buffers = [reader, which, count, means, splat_embeddings, maps, &tape.maps, keys, items];
-        work.run(&READ_LIGHT, 1, job, &buffers, self.capacity.div_ceil(GROUP));
+        work.run(&GSW_INPUTS, 1, job, &buffers, self.capacity.div_ceil(GROUP));
         tape.forward(work, &self.points, &self.networks.weights, count, first);
     }
 
     /// Gradients of the embeddings of splats in sight, without the base model's part, and of all weights, from those of
-    /// the colours that [`NetworkLighting::tint`] returned and from the `blames` of the visibility map.
+    /// the colours that [`NetworkLighting::tint`] returned and from the `part_residuals` that the visibility
+    /// map learns from.
     pub fn backward(
         &self,
         work: &mut DeviceWork,
         by_colour: &PooledBuffer,
         (means, splat_embeddings): (&PooledBuffer, &PooledBuffer),
         by_embedding: &PooledBuffer,
-        blames: Option<&PooledBuffer>,
+        part_residuals: Option<&PooledBuffer>,
     ) -> Result<(), GpuError> {
         let NetworkLighting { networks, photo, reader, which, count, tape, capacity, .. } = self;
         let weights = GpuWeights { values: &networks.weights, grads: &self.weight_grads };
@@ -296,11 +304,11 @@ impl<'a> NetworkLighting<'a> {
             }
             let output = (self.planes.output * capacity) as u32;
             let job = [*capacity as u32, first as u32, output, 0];
-            work.run(&TAKE_LIGHT, 1, job, &[which, count, by_colour, &tape.grads], each);
+            work.run(&GSW_COLOURS_BACKWARD, 1, job, &[which, count, by_colour, &tape.grads], each);
             tape.backward(work, &self.points, weights, count, first);
             let job = [self.splats as u32, first as u32, 0, 0];
             let buffers = [reader, which, count, splat_embeddings, maps, &tape.grads, by_embedding];
-            work.run(&READ_LIGHT_BACKWARD, 1, job, &buffers, each);
+            work.run(&GSW_INPUTS_BACKWARD, 1, job, &buffers, each);
             if let Some(photo) = photo {
                 self.sum_maps(work, photo, first)?;
             }
@@ -308,10 +316,10 @@ impl<'a> NetworkLighting<'a> {
         if let Some(PhotoPass { plan, tape, size, .. }) = photo {
             let parts = size.iter().map(|n| n / 4).product::<usize>();
             let position = plan.position(networks.nets().unet.plane);
-            let job = [parts as u32, position as u32, u32::from(blames.is_some()), 0];
-            // Without blames this binding is not read.
-            let blames = blames.unwrap_or(&self.items);
-            work.run(&VISIBILITY, 1, job, &[blames, &tape.maps, &tape.grads], 1);
+            let job = [parts as u32, position as u32, u32::from(part_residuals.is_some()), 0];
+            // Without residuals this binding is not read.
+            let part_residuals = part_residuals.unwrap_or(&self.items);
+            work.run(&VISIBILITY_GRADIENT, 1, job, &[part_residuals, &tape.maps, &tape.grads], 1);
             tape.backward(work, plan, weights, count, 0);
         }
         Ok(())

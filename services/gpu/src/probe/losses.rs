@@ -2,7 +2,7 @@
 
 use super::device_passes::DevicePasses;
 use crate::bin::{Binned, Cloud, bin};
-use crate::compare::{ComparisonInputs, GpuPhoto, Graded, StepReadback, compare};
+use crate::compare::{ComparisonInputs, GpuPhoto, LossBuffers, StepReadback, compare};
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::nets::Visible;
 use crate::packing::pack_image;
@@ -24,8 +24,8 @@ pub struct ComparedOnDevice {
     pub grads: Vec<f32>,
     /// Errors around pixels, for density control.
     pub error: Vec<f32>,
-    /// Blames of the visibility map's pixels, if there is one.
-    pub blames: Option<Vec<f32>>,
+    /// Residuals of the parts of the photo that the visibility map's pixels cover, if there is one.
+    pub part_residuals: Option<Vec<f32>>,
     /// The loss output.
     pub output: LossOutput,
 }
@@ -70,7 +70,7 @@ impl<'e> LossPasses<'e> {
         Ok(LossPasses { work, on, image, photo, pixels: target.pixels.len(), inputs, map })
     }
 
-    fn graded(&mut self, loss_inputs: &LossInputs) -> Result<Graded, GpuError> {
+    fn loss_buffers(&mut self, loss_inputs: &LossInputs) -> Result<LossBuffers, GpuError> {
         let visible = self.map.as_ref();
         let visible = visible.map(|(maps, size)| Visible { maps, position: 0, size: *size, decides: true });
         let LossPasses { work, on, image, photo, inputs, .. } = self;
@@ -82,7 +82,7 @@ impl<'e> LossPasses<'e> {
     /// # Errors
     /// When memory does not suffice.
     pub fn compare(&mut self, loss_inputs: &LossInputs) -> Result<(), GpuError> {
-        self.graded(loss_inputs).map(drop)
+        self.loss_buffers(loss_inputs).map(drop)
     }
 
     /// The same, and downloads them.
@@ -90,17 +90,20 @@ impl<'e> LossPasses<'e> {
     /// # Errors
     /// When memory does not suffice, or the device fails.
     pub fn results(&mut self, loss_inputs: &LossInputs) -> Result<ComparedOnDevice, GpuError> {
-        let Graded { shown, smoothed, weights, grads, error, blames } = self.graded(loss_inputs)?;
+        let LossBuffers { shown, smoothed, weights, grads, error, part_residuals } =
+            self.loss_buffers(loss_inputs)?;
         let (work, n) = (&mut self.work, self.pixels);
         let output = StepReadback::read(work, &self.inputs.results, &self.on.found)?.results(loss_inputs);
-        let blamed = self.map.as_ref().map_or(0, |(_, [width, height])| width * height);
+        let parts = self.map.as_ref().map_or(0, |(_, [width, height])| width * height);
         Ok(ComparedOnDevice {
             shown: work.read(&shown, 4 * n)?,
             smoothed: work.read(&smoothed, n)?,
             weights: work.read(&weights, n)?,
             grads: work.read(&grads, 4 * n)?,
             error: work.read(&error, n)?,
-            blames: blames.map(|blames| work.read(&blames, blamed)).transpose()?,
+            part_residuals: part_residuals
+                .map(|part_residuals| work.read(&part_residuals, parts))
+                .transpose()?,
             output,
         })
     }

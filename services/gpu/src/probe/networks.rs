@@ -25,7 +25,7 @@ impl NetworkRun {
 }
 
 /// Runs a network forward on inputs of one height and width, or half of these, and backward from the gradients
-/// `pulls` of some of its maps, by their numbers in the graph.
+/// `output_grads` of some of its maps, by their numbers in the graph.
 ///
 /// # Errors
 /// When the device refuses or fails.
@@ -34,7 +34,7 @@ pub fn run_network(
     graph: &NetworkGraph,
     weights: &[f32],
     inputs: &[Map],
-    pulls: &[(usize, Map)],
+    output_grads: &[(usize, Map)],
 ) -> Result<NetworkRun, GpuError> {
     let numbers: Vec<f32> = inputs.iter().flat_map(|map| map.data.iter().copied()).collect();
     let plan = NetworkPlan::of(graph, [inputs[0].height, inputs[0].width]);
@@ -44,14 +44,14 @@ pub fn run_network(
     let any = work.upload("splats in sight", &[0u32])?;
     let up = work.upload("inputs of the network", &numbers)?;
     let mut held = Vec::new();
-    for (id, map) in pulls {
+    for (id, map) in output_grads {
         held.push((*id, map.data.len(), work.upload("gradients", &map.data)?));
     }
     let tape = GpuTape::new(work, &plan)?;
     work.copy_to(&up, &tape.maps, 0, 4 * numbers.len());
     tape.forward(work, &plan, &values, &any, 0);
-    for (id, numbers, pull) in held {
-        work.copy_to(&pull, &tape.grads, 4 * plan.position(id), 4 * numbers);
+    for (id, numbers, output_grad) in held {
+        work.copy_to(&output_grad, &tape.grads, 4 * plan.position(id), 4 * numbers);
     }
     tape.backward(work, &plan, GpuWeights { values: &values, grads: &grads }, &any, 0);
     let maps = work.read(&tape.maps, plan.maps())?;
@@ -151,21 +151,23 @@ impl<'e> LightingPasses<'e> {
         lighting.backward(work, colours, (means, embeddings), by_embedding, None)
     }
 
-    /// Tints the colours, computes gradients from those of the colours, `[splat][3]`, and from the `blames` of the
-    /// visibility map, and downloads all.
+    /// Tints the colours, computes gradients from those of the colours, `[splat][3]`, and from the `part_residuals` that
+    /// the visibility map learns from, and downloads all.
     ///
     /// # Errors
     /// When memory does not suffice, or the device fails.
     pub fn results(
         &mut self,
         colour_grads: &[f32],
-        blames: Option<&[f32]>,
+        part_residuals: Option<&[f32]>,
     ) -> Result<LightingResults, GpuError> {
         let by_colour = self.work.upload("gradients", &wide(colour_grads))?;
-        let blames = blames.map(|blames| self.work.upload("blames", blames)).transpose()?;
+        let part_residuals = part_residuals
+            .map(|part_residuals| self.work.upload("the residuals of parts of the photo", part_residuals))
+            .transpose()?;
         self.tint()?;
         let LightingPasses { work, lighting, means, embeddings, colours, by_embedding, .. } = self;
-        lighting.backward(work, &by_colour, (means, embeddings), by_embedding, blames.as_ref())?;
+        lighting.backward(work, &by_colour, (means, embeddings), by_embedding, part_residuals.as_ref())?;
         Ok(LightingResults {
             colours: work.read(colours, self.splats)?,
             embedding_grads: work.read(by_embedding, self.splats * EMBEDDING_SIZE)?,

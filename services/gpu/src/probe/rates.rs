@@ -3,7 +3,7 @@
 use super::device_passes::DevicePasses;
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::groups::GROUP;
-use crate::shaders::RATE;
+use crate::shaders::MULTIPLY_ADD;
 use crate::{GpuEngine, GpuError};
 
 /// Threads of the kernel, and turns of each; a turn is 16 operations.
@@ -23,7 +23,7 @@ pub struct RatePasses<'e> {
 }
 
 impl<'e> RatePasses<'e> {
-    /// Operations of [`RatePasses::multiply`].
+    /// Operations of [`RatePasses::multiply_add`].
     pub const OPERATIONS: f64 = THREADS as f64 * TURNS as f64 * PER_TURN;
 
     /// Allocates their memory.
@@ -57,8 +57,8 @@ impl<'e> RatePasses<'e> {
     ///
     /// # Errors
     /// None by itself.
-    pub fn multiply(&mut self) -> Result<(), GpuError> {
-        self.work.run(&RATE, 1, [THREADS as u32, TURNS, 0, 0], &[&self.sums], THREADS / GROUP);
+    pub fn multiply_add(&mut self) -> Result<(), GpuError> {
+        self.work.run(&MULTIPLY_ADD, 1, [THREADS as u32, TURNS, 0, 0], &[&self.sums], THREADS / GROUP);
         Ok(())
     }
 }

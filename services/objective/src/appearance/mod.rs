@@ -107,7 +107,7 @@ impl AnyAppearance {
     }
 
     /// From the gradient of [`AnyAppearance::colour`]'s result to those of its colours and embeddings; keeps the
-    /// gradient of the model's own parameters for [`Appearance::step`]. `blame` as for
+    /// gradient of the model's own parameters for [`Appearance::step`]. `part_residuals` as for
     /// [`GswAppearance::tint_backward`].
     pub fn colour_backward(
         &mut self,
@@ -116,11 +116,11 @@ impl AnyAppearance {
         sight: &VisibleSplats,
         colours: &[f32],
         grad: Vec<f32>,
-        blame: &[Option<f32>],
+        part_residuals: &[Option<f32>],
     ) -> (Vec<f32>, Vec<f32>) {
         match self {
             AnyAppearance::Gsw(appearance) => {
-                appearance.tint_backward(view, light, sight, colours, grad, blame)
+                appearance.tint_backward(view, light, sight, colours, grad, part_residuals)
             }
             _ => self.as_appearance_mut().tint_backward(view, sight.splat_embeddings, colours, grad),
         }

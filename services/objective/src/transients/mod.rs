@@ -6,7 +6,7 @@ mod visibility;
 
 pub use residuals::{
     BINS, CONTRAST, DECAY, FLOOR, INITIAL_TRANSIENT, ResidualHistograms, Residuals, SURPRISE, contradicted,
-    leave_out, limit, limits, relative, smoothed, window,
+    leave_out, limit, relative, residual_limits, smoothed, window,
 };
 pub use visibility::{LEAST, MOST, OCCLUDED, SURE, VisibilityMap, WRONG};
-pub(crate) use visibility::{blame, weights};
+pub(crate) use visibility::{part_residuals, visibility_weights};

@@ -84,7 +84,7 @@ pub fn leave_out(
     for b in bins.iter().flatten() {
         fresh[usize::from(*b)] += 1.0;
     }
-    let Some((limits, held)) = limits(known, fresh) else { return (None, None) };
+    let Some((limits, held)) = residual_limits(known, fresh) else { return (None, None) };
     let over = limits.map(|limit| -> [u8; BINS] { std::array::from_fn(|b| u8::from(bin_top(b) > limit)) });
     let out = |(i, b): (usize, &Option<u8>)| {
         b.map_or(0, |b| over[usize::from(initial_transient_share(i))][usize::from(b)])
@@ -99,7 +99,7 @@ pub fn leave_out(
 
 /// The residuals over which a pixel, and an initial transient, is left out, and the histogram with this visit's counts;
 /// `None` if there are none.
-pub fn limits(known: &Residuals, mut fresh: Vec<f32>) -> Option<([f32; 2], Vec<f32>)> {
+pub fn residual_limits(known: &Residuals, mut fresh: Vec<f32>) -> Option<([f32; 2], Vec<f32>)> {
     let total: f32 = fresh.iter().sum();
     if total == 0.0 {
         return None;

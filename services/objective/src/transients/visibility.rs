@@ -28,7 +28,7 @@ pub const LEAST: f32 = 0.3;
 pub const WRONG: f32 = 4.0;
 
 /// Per part of the photo that a pixel of the map covers, the mean of `ratio` over its pixels that count.
-pub(crate) fn blame(map: &Image, ratio: &[f32], photo: &PhotoTarget) -> Vec<Option<f32>> {
+pub(crate) fn part_residuals(map: &Image, ratio: &[f32], photo: &PhotoTarget) -> Vec<Option<f32>> {
     let mut sums = vec![(0.0f32, 0u32); map.pixels()];
     for (i, ratio) in ratio.iter().enumerate().filter(|(i, _)| photo.is(*i, PhotoTarget::COUNTS)) {
         let (x, y) = (i % photo.width * map.width / photo.width, i / photo.width * map.height / photo.height);
@@ -40,7 +40,7 @@ pub(crate) fn blame(map: &Image, ratio: &[f32], photo: &PhotoTarget) -> Vec<Opti
 
 /// Weight of each pixel by the map; `None` where the map is implausible against the robust mask: it leaves out much
 /// more than `share`, or next to nothing where the mask leaves out something.
-pub(crate) fn weights(
+pub(crate) fn visibility_weights(
     map: &Image,
     photo: &PhotoTarget,
     kept: Option<&[f32]>,
@@ -57,10 +57,10 @@ pub(crate) fn weights(
         ((row(y0) * (1.0 - fy) + row(y1) * fy - OCCLUDED) / (SURE - OCCLUDED)).clamp(0.0, 1.0)
     };
     let weights: Vec<f32> = (0..photo.pixels.len()).map(weight).collect();
-    is_sane(&weights, kept, |i| photo.is(i, PhotoTarget::COUNTS), share).then_some(weights)
+    is_plausible(&weights, kept, |i| photo.is(i, PhotoTarget::COUNTS), share).then_some(weights)
 }
 
-fn is_sane(weights: &[f32], kept: Option<&[f32]>, counts: impl Fn(usize) -> bool, share: f32) -> bool {
+fn is_plausible(weights: &[f32], kept: Option<&[f32]>, counts: impl Fn(usize) -> bool, share: f32) -> bool {
     let left_out = |weights: &[f32]| {
         let counted = || weights.iter().enumerate().filter(|(i, _)| counts(*i)).map(|(_, w)| 1.0 - w);
         counted().sum::<f32>() / counted().count().max(1) as f32
@@ -76,11 +76,11 @@ mod tests {
     #[test]
     fn a_map_that_hides_all_or_nothing_is_not_trusted() {
         let kept: Vec<f32> = (0..100).map(|i| f32::from(u8::from(i >= 10))).collect();
-        let sane = |weights: &[f32], kept| is_sane(weights, kept, |_| true, 0.2);
-        assert!(sane(&kept, Some(&kept)));
-        assert!(!sane(&[0.0; 100], Some(&kept)) && !sane(&[0.0; 100], None), "all occluded");
-        assert!(!sane(&[1.0; 100], Some(&kept)), "a transient in sight");
-        assert!(sane(&[1.0; 100], None), "nothing stands out");
-        assert!(!is_sane(&[f32::NAN; 100], None, |_| true, 0.2));
+        let plausible = |weights: &[f32], kept| is_plausible(weights, kept, |_| true, 0.2);
+        assert!(plausible(&kept, Some(&kept)));
+        assert!(!plausible(&[0.0; 100], Some(&kept)) && !plausible(&[0.0; 100], None), "all occluded");
+        assert!(!plausible(&[1.0; 100], Some(&kept)), "a transient in sight");
+        assert!(plausible(&[1.0; 100], None), "nothing stands out");
+        assert!(!is_plausible(&[f32::NAN; 100], None, |_| true, 0.2));
     }
 }

@@ -136,8 +136,8 @@ impl GswAppearance {
     }
 
     /// From the gradient of [`GswAppearance::tint`]'s result to those of its colours and embeddings; keeps the gradient
-    /// of the model's own parameters for [`Appearance::step`]. `blame` is the target that [`AppearanceMaps::visible`]
-    /// learns from, one per part of the photo in its order: the residual there, relative to the limit for transients.
+    /// of the model's own parameters for [`Appearance::step`]. [`AppearanceMaps::visible`] learns from `part_residuals`,
+    /// one per part of the photo in its order: the residual there, relative to the limit for transients.
     pub fn tint_backward(
         &mut self,
         view: usize,
@@ -145,7 +145,7 @@ impl GswAppearance {
         sight: &VisibleSplats,
         colours: &[f32],
         grad: Vec<f32>,
-        blame: &[Option<f32>],
+        part_residuals: &[Option<f32>],
     ) -> (Vec<f32>, Vec<f32>) {
         let mut back = points::backward(self, light, sight, &grad);
         let (colour_grads, below) =
@@ -163,7 +163,8 @@ impl GswAppearance {
             for (k, map) in back.maps.iter().enumerate() {
                 scatter(map, &mut maps, k * SAMPLE, SAMPLE);
             }
-            let plane = (blame.len() == visible.data.len()).then(|| visibility_gradient(visible, blame));
+            let plane = (part_residuals.len() == visible.data.len())
+                .then(|| visibility_gradient(visible, part_residuals));
             nets.unet.backward(&self.weights, tape, maps, plane, &mut weights);
         }
         self.grads = Some(GswGrads { weights, layer: back.layer });
@@ -179,14 +180,14 @@ fn sigmoid(v: f32) -> f32 {
 }
 
 /// Gradient, before the sigmoid, of the mean of `b v + (1 - v)²` over the parts of the photo with a known `b`; `v` is
-/// their visibility and `b` their blame. The minimum is at `v = 1 - b / 2`.
-fn visibility_gradient(plane: &Map, blame: &[Option<f32>]) -> Map {
+/// their visibility and `b` their residuals. The minimum is at `v = 1 - b / 2`.
+fn visibility_gradient(plane: &Map, part_residuals: &[Option<f32>]) -> Map {
     let mut grad = Map::zeros(1, plane.height, plane.width);
-    let known = blame.iter().flatten().count().max(1) as f32;
-    for ((to, from), blame) in grad.data.iter_mut().zip(&plane.data).zip(blame) {
-        if let Some(blame) = blame {
+    let known = part_residuals.iter().flatten().count().max(1) as f32;
+    for ((to, from), residual) in grad.data.iter_mut().zip(&plane.data).zip(part_residuals) {
+        if let Some(residual) = residual {
             let v = sigmoid(*from);
-            *to = VISIBILITY / known * (blame.clamp(0.0, 2.0) - 2.0 * (1.0 - v)) * v * (1.0 - v);
+            *to = VISIBILITY / known * (residual.clamp(0.0, 2.0) - 2.0 * (1.0 - v)) * v * (1.0 - v);
         }
     }
     grad
