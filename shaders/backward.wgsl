@@ -21,7 +21,7 @@
 @group(0) @binding(9) var<storage, read_write> moments: array<vec4f>;
 #import weight_grad
 
-var<workgroup> light: array<f32, PIXELS>;
+var<workgroup> transmittance: array<f32, PIXELS>;
 var<workgroup> remaining: array<f32, PIXELS>;
 var<workgroup> grad: array<vec4f, PIXELS * REGISTERS>;
 
@@ -41,7 +41,7 @@ fn backward(
     }
     for (var p = local; p < PIXELS; p += BUCKET) {
         let state = states[group * PIXELS + p];
-        light[p] = state.x;
+        transmittance[p] = state.x;
         remaining[p] = totals[bucket.x * PIXELS + p] - state.y;
         let at = pixel_of(bucket.x, p, view.frame.z);
         if at.x < view.frame.x && at.y < view.frame.y {
@@ -66,14 +66,14 @@ fn backward(
     for (var step = 0u; step < PIXELS + bucket.z - 1u; step += 1u) {
         if local < bucket.z && step >= local && step - local < PIXELS {
             let p = step - local;
-            let t = light[p];
+            let t = transmittance[p];
             if t >= T_MIN {
                 let at = pixel_of(bucket.x, p, view.frame.z);
                 let hit = touch(f, vec2f(at) + 0.5);
                 if hit.raw >= ALPHA_MIN {
                     let alpha = min(hit.raw, ALPHA_MAX);
                     let weight = alpha * t;
-                    light[p] = t - weight;
+                    transmittance[p] = t - weight;
                     var weight_grad = 0.0;
                     if BLOCKS == 0u {
                         weight_grad = weight_grad_from_memory(entry.x, at.y * view.frame.x + at.x, job.x);

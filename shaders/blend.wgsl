@@ -4,7 +4,7 @@
 #import view
 #import footprint
 
-// x: 1 if this run writes alpha and the light at the start of each bucket, which `gather` starts from.
+// x: 1 if this run writes alpha and the transmittance at the start of each bucket, which `gather` starts from.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> view: View;
 @group(0) @binding(2) var<storage, read> footprints: array<vec4f>;
@@ -15,7 +15,7 @@
 @group(0) @binding(6) var<storage, read_write> image: array<vec4f>;
 @group(0) @binding(7) var<storage, read_write> alpha: array<f32>;
 // `[bucket][pixel of the tile]`.
-@group(0) @binding(8) var<storage, read_write> lights: array<f32>;
+@group(0) @binding(8) var<storage, read_write> transmittances: array<f32>;
 
 var<workgroup> lit: atomic<u32>;
 var<workgroup> print_p: array<vec4f, BUCKET>;
@@ -36,7 +36,7 @@ fn blend(
     let at = pixel_of(tile, local, view.frame.z);
     let inside = at.x < view.frame.x && at.y < view.frame.y;
     let pixel = vec2f(at) + 0.5;
-    var light = select(0.0, 1.0, inside);
+    var transmittance = select(0.0, 1.0, inside);
     var covered = 0.0;
     var sums: array<vec4f, BLOCKS>;
 
@@ -47,7 +47,7 @@ fn blend(
             atomicStore(&lit, 0u);
         }
         workgroupBarrier();
-        if light >= T_MIN {
+        if transmittance >= T_MIN {
             atomicStore(&lit, 1u);
         }
         let count = min(BUCKET, range.y - next);
@@ -68,14 +68,14 @@ fn blend(
             break;
         }
         if job.x == 1u {
-            lights[bucket * PIXELS + local] = light;
+            transmittances[bucket * PIXELS + local] = transmittance;
         }
         bucket += 1u;
-        for (var i = 0u; i < count && light >= T_MIN; i += 1u) {
+        for (var i = 0u; i < count && transmittance >= T_MIN; i += 1u) {
             let hit = touch(footprint(print_p[i], print_q[i]), pixel);
             if hit.raw >= ALPHA_MIN {
-                let weight = min(hit.raw, ALPHA_MAX) * light;
-                light -= weight;
+                let weight = min(hit.raw, ALPHA_MAX) * transmittance;
+                transmittance -= weight;
                 covered += weight;
                 for (var b = 0u; b < BLOCKS; b += 1u) {
                     sums[b] += weight * value[i * BLOCKS + b];
@@ -87,7 +87,7 @@ fn blend(
     if job.x == 1u {
         // No light enters the rest.
         for (; next < range.y; next += BUCKET) {
-            lights[bucket * PIXELS + local] = 0.0;
+            transmittances[bucket * PIXELS + local] = 0.0;
             bucket += 1u;
         }
     }

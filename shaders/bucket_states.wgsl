@@ -1,5 +1,5 @@
-// The state from which `backward` starts at each bucket: the light, and the gradient times what has been passed, per
-// pixel; and the gradient times the total. The same walk as `blend`, with the gradient by the blending weight
+// The state from which `backward` starts at each bucket: the transmittance, and the gradient times what has been passed,
+// per pixel; and the gradient times the total. The same walk as `blend`, with the gradient by the blending weight
 // (`weight_grad.wgsl`) as the value.
 #import common
 #import view
@@ -13,7 +13,7 @@
 @group(0) @binding(4) var<storage, read> tiles: array<vec4u>;
 @group(0) @binding(5) var<storage, read> values: array<vec4f>;
 @group(0) @binding(6) var<storage, read> grads: array<vec4f>;
-// Light and front, `[bucket][pixel of the tile]`.
+// Transmittance, and the sum so far, `[bucket][pixel of the tile]`.
 @group(0) @binding(7) var<storage, read_write> states: array<vec2f>;
 // `[tile][pixel of the tile]`.
 @group(0) @binding(8) var<storage, read_write> totals: array<f32>;
@@ -40,7 +40,7 @@ fn bucket_states(
     let inside = at.x < view.frame.x && at.y < view.frame.y;
     let position = at.y * view.frame.x + at.x;
     let pixel = vec2f(at) + 0.5;
-    var light = select(0.0, 1.0, inside);
+    var transmittance = select(0.0, 1.0, inside);
     var passed = 0.0;
     var grad: array<vec4f, REGISTERS>;
     if inside {
@@ -56,7 +56,7 @@ fn bucket_states(
             atomicStore(&lit, 0u);
         }
         workgroupBarrier();
-        if light >= T_MIN {
+        if transmittance >= T_MIN {
             atomicStore(&lit, 1u);
         }
         let count = min(BUCKET, range.y - next);
@@ -77,13 +77,13 @@ fn bucket_states(
         if atomicLoad(&lit) == 0u {
             break;
         }
-        states[bucket * PIXELS + local] = vec2f(light, passed);
+        states[bucket * PIXELS + local] = vec2f(transmittance, passed);
         bucket += 1u;
-        for (var i = 0u; i < count && light >= T_MIN; i += 1u) {
+        for (var i = 0u; i < count && transmittance >= T_MIN; i += 1u) {
             let hit = touch(footprint(print_p[i], print_q[i]), pixel);
             if hit.raw >= ALPHA_MIN {
-                let weight = min(hit.raw, ALPHA_MAX) * light;
-                light -= weight;
+                let weight = min(hit.raw, ALPHA_MAX) * transmittance;
+                transmittance -= weight;
                 var weight_grad = 0.0;
                 if BLOCKS == 0u {
                     weight_grad = weight_grad_from_memory(splats[i], position, job.x);

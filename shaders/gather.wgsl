@@ -1,7 +1,7 @@
 // The transpose of `blend`: the sum of alpha T image over the pixels, per splat and tile (twin: `Gather` in
 // raster/src/cpu/kernels.rs). A workgroup is a bucket, a thread an entry. The pixels of the tile stream through the
-// threads: thread k processes pixel p at step p + k, and passes the remaining light to thread k + 1. So every thread
-// adds up its own splat, in the order of pixels, and no two write the same number.
+// threads: thread k processes pixel p at step p + k, and passes the remaining transmittance to thread k + 1. So every
+// thread adds up its own splat, in the order of pixels, and no two write the same number.
 #import common
 #import view
 #import footprint
@@ -13,11 +13,11 @@
 @group(0) @binding(3) var<storage, read> entries: array<vec2u>;
 @group(0) @binding(4) var<storage, read> buckets: array<vec4u>;
 @group(0) @binding(5) var<storage, read> image: array<vec4f>;
-@group(0) @binding(6) var<storage, read> lights: array<f32>;
+@group(0) @binding(6) var<storage, read> transmittances: array<f32>;
 // BLOCKS vec4 per slot.
 @group(0) @binding(7) var<storage, read_write> slots: array<vec4f>;
 
-var<workgroup> light: array<f32, PIXELS>;
+var<workgroup> transmittance: array<f32, PIXELS>;
 var<workgroup> target_at: array<vec4f, PIXELS * BLOCKS>;
 
 @compute @workgroup_size(64)
@@ -35,7 +35,7 @@ fn gather(
         return;
     }
     for (var p = local; p < PIXELS; p += BUCKET) {
-        light[p] = lights[group * PIXELS + p];
+        transmittance[p] = transmittances[group * PIXELS + p];
         let at = pixel_of(bucket.x, p, view.frame.z);
         if at.x < view.frame.x && at.y < view.frame.y {
             for (var b = 0u; b < BLOCKS; b += 1u) {
@@ -55,12 +55,12 @@ fn gather(
     for (var step = 0u; step < PIXELS + bucket.z - 1u; step += 1u) {
         if local < bucket.z && step >= local && step - local < PIXELS {
             let p = step - local;
-            let t = light[p];
+            let t = transmittance[p];
             if t >= T_MIN {
                 let hit = touch(f, vec2f(pixel_of(bucket.x, p, view.frame.z)) + 0.5);
                 if hit.raw >= ALPHA_MIN {
                     let weight = min(hit.raw, ALPHA_MAX) * t;
-                    light[p] = t - weight;
+                    transmittance[p] = t - weight;
                     for (var b = 0u; b < BLOCKS; b += 1u) {
                         sums[b] += weight * target_at[p * BLOCKS + b];
                     }

@@ -17,12 +17,12 @@ const NEAR: usize = 2;
 pub(crate) type ShapeGrads = [[f32; 4]; 4];
 
 impl Binned {
-    /// A buffer for the light at the buckets, which [`Binned::blend`] fills for later passes.
-    pub fn lights(&self, work: &mut DeviceWork) -> Result<PooledBuffer, GpuError> {
-        work.take::<f32>("the light at the buckets", self.bucket_bound * PIXELS)
+    /// A buffer for the transmittance at the buckets, which [`Binned::blend`] fills for later passes.
+    pub fn transmittances(&self, work: &mut DeviceWork) -> Result<PooledBuffer, GpuError> {
+        work.take::<f32>("the transmittance at the buckets", self.bucket_bound * PIXELS)
     }
 
-    /// The image of `blocks` vec4 of channels; the `first` of several runs writes alpha and lights too.
+    /// The image of `blocks` vec4 of channels; the `first` of several runs writes alpha and transmittances too.
     pub fn blend(
         &self,
         work: &mut DeviceWork,
@@ -30,14 +30,23 @@ impl Binned {
         values: &PooledBuffer,
         first: bool,
         alpha: &PooledBuffer,
-        lights: &PooledBuffer,
+        transmittances: &PooledBuffer,
     ) -> Result<PooledBuffer, GpuError> {
         let image = work.take::<[f32; 4]>("the image", self.pixels * blocks)?;
         work.run(
             &BLEND,
             blocks as u32,
             [u32::from(first), 0, 0, 0],
-            &[&self.view, &self.footprints, &self.entries, &self.tiles, values, &image, alpha, lights],
+            &[
+                &self.view,
+                &self.footprints,
+                &self.entries,
+                &self.tiles,
+                values,
+                &image,
+                alpha,
+                transmittances,
+            ],
             self.tile_count,
         );
         Ok(image)
@@ -49,7 +58,7 @@ impl Binned {
         work: &mut DeviceWork,
         blocks: usize,
         image: &PooledBuffer,
-        lights: &PooledBuffer,
+        transmittances: &PooledBuffer,
     ) -> Result<PooledBuffer, GpuError> {
         let sums = work.take::<[f32; 4]>("the sums per splat", self.splats * blocks)?;
         if self.pairs == 0 {
@@ -63,7 +72,7 @@ impl Binned {
             &GATHER,
             blocks as u32,
             [self.bucket_bound as u32, 0, 0, 0],
-            &[&self.view, &self.footprints, &self.entries, &self.buckets, image, lights, &slots],
+            &[&self.view, &self.footprints, &self.entries, &self.buckets, image, transmittances, &slots],
             self.bucket_bound,
         );
         let job = [self.splats as u32, blocks as u32, 0, 0];

@@ -25,7 +25,7 @@ pub(crate) struct GpuRender<'a> {
     /// The splats' own colours, and those in the photo's light, where there is one.
     colours: PooledBuffer,
     lit: Option<LitSplats<'a>>,
-    lights: PooledBuffer,
+    transmittances: PooledBuffer,
     /// Colour and alpha.
     pub image: PooledBuffer,
 }
@@ -144,10 +144,10 @@ impl GpuTraining {
             None => None,
         };
         let alpha = work.take::<f32>("alpha", on.pixels)?;
-        let lights = on.lights(work)?;
+        let transmittances = on.transmittances(work)?;
         let values = lit.as_ref().map_or(&colours, |lit| &lit.tinted);
-        let image = on.blend(work, 1, values, true, &alpha, &lights)?;
-        Ok(GpuRender { on, seen, colours, lit, lights, image })
+        let image = on.blend(work, 1, values, true, &alpha, &transmittances)?;
+        Ok(GpuRender { on, seen, colours, lit, transmittances, image })
     }
 
     /// The backward pass and the optimiser's step from the gradients of colour and alpha. Also adds to the sums for
@@ -160,11 +160,11 @@ impl GpuTraining {
         groups: &Groups,
         results: &PooledBuffer,
     ) -> Result<(), GpuError> {
-        let GpuRender { on, seen, colours, lit, lights, .. } = rendered;
+        let GpuRender { on, seen, colours, lit, transmittances, .. } = rendered;
         let n = self.count();
         let each = n.div_ceil(GROUP);
         let shapes = &self.splats.shapes;
-        let by_colour = on.gather(work, 1, by_image, lights)?;
+        let by_colour = on.gather(work, 1, by_image, transmittances)?;
         let values = lit.as_ref().map_or(colours, |lit| &lit.tinted);
         let grads = on.backward(work, 1, values, by_image)?;
         // Where there is light, `by_colour` is of the tinted colours before, and of the splats' own after.

@@ -41,7 +41,7 @@ pub(crate) struct GpuView {
     height: usize,
     pub on: Binned,
     /// Light per pixel at the start of each bucket, once something was blended.
-    lights: Mutex<Option<PooledBuffer>>,
+    transmittances: Mutex<Option<PooledBuffer>>,
 }
 
 impl<'a> GpuProjected<'a> {
@@ -53,14 +53,14 @@ impl<'a> GpuProjected<'a> {
         on: Binned,
         seen: &[[f32; 4]],
     ) -> GpuProjected<'a> {
-        let (device, lights) = (device.clone(), Mutex::new(None));
+        let (device, transmittances) = (device.clone(), Mutex::new(None));
         GpuProjected {
             splats,
             eye,
             depths: seen.iter().map(|s| s[0]).collect(),
             radii: seen.iter().map(|s| s[1]).collect(),
             centres: seen.iter().map(|s| [s[2], s[3]]).collect(),
-            view: GpuView { device, splats: splats.len(), width, height, on, lights },
+            view: GpuView { device, splats: splats.len(), width, height, on, transmittances },
         }
     }
 }
@@ -101,7 +101,7 @@ impl GpuView {
         let mut image = Image::zeros(self.width, self.height, count);
         let mut work = self.device.work();
         let alpha = work.take::<f32>("alpha", pixels)?;
-        let lights = self.on.lights(&mut work)?;
+        let transmittances = self.on.transmittances(&mut work)?;
         let blocks = at_once(count);
         let mut first = 0;
         loop {
@@ -119,7 +119,7 @@ impl GpuView {
                     &up
                 }
             };
-            let rendered = self.on.blend(&mut work, blocks, values, first == 0, &alpha, &lights)?;
+            let rendered = self.on.blend(&mut work, blocks, values, first == 0, &alpha, &transmittances)?;
             if count > 0 {
                 let rendered: Vec<f32> = work.read(&rendered, pixels * blocks * 4)?;
                 unpack_image(&rendered, blocks * 4, first, &mut image);
@@ -131,23 +131,23 @@ impl GpuView {
         }
         let alpha = Image { data: work.read(&alpha, pixels)?, ..Image::zeros(self.width, self.height, 1) };
         drop(work);
-        *lock(&self.lights) = Some(lights);
+        *lock(&self.transmittances) = Some(transmittances);
         Ok(Frame { image, alpha })
     }
 
-    /// Runs with the light at the buckets, from the last blend or from a blend of no channels.
-    pub fn with_lights<T>(
+    /// Runs with the transmittance at the buckets, from the last blend or from a blend of no channels.
+    pub fn with_transmittances<T>(
         &self,
         work: &mut DeviceWork,
         run: impl FnOnce(&mut DeviceWork, &PooledBuffer) -> Result<T, GpuError>,
     ) -> Result<T, GpuError> {
-        let mut held = lock(&self.lights);
+        let mut held = lock(&self.transmittances);
         if held.is_none() {
             let values = work.take::<[f32; 4]>("the splats' channels", self.splats)?;
             let alpha = work.take::<f32>("alpha", self.pixels())?;
-            let lights = self.on.lights(work)?;
-            self.on.blend(work, 1, &values, true, &alpha, &lights)?;
-            *held = Some(lights);
+            let transmittances = self.on.transmittances(work)?;
+            self.on.blend(work, 1, &values, true, &alpha, &transmittances)?;
+            *held = Some(transmittances);
         }
         run(work, held.as_ref().expect("it was made above"))
     }
@@ -164,11 +164,11 @@ impl GpuView {
         image: &Image,
     ) -> Result<(Vec<PooledBuffer>, usize), GpuError> {
         let blocks = gathered_at_once(image.channels);
-        let parts = self.with_lights(work, |work, lights| {
+        let parts = self.with_transmittances(work, |work, transmittances| {
             let mut parts = Vec::new();
             for first in (0..image.channels).step_by(blocks * 4) {
                 let up = work.upload("the image", &pack_image(image, first, blocks, None))?;
-                parts.push(self.on.gather(work, blocks, &up, lights)?);
+                parts.push(self.on.gather(work, blocks, &up, transmittances)?);
             }
             Ok(parts)
         })?;
@@ -182,10 +182,10 @@ impl GpuView {
             return Ok(out);
         }
         let blocks = gathered_at_once(count);
-        self.with_lights(work, |work, lights| {
+        self.with_transmittances(work, |work, transmittances| {
             for first in (0..count).step_by(blocks * 4) {
                 let up = work.upload("the image", &pack_image(image, first, blocks, None))?;
-                let sums = on.gather(work, blocks, &up, lights)?;
+                let sums = on.gather(work, blocks, &up, transmittances)?;
                 let sums: Vec<f32> = work.read(&sums, n * blocks * 4)?;
                 let many = (count - first).min(blocks * 4);
                 out.par_chunks_mut(count).zip(sums.par_chunks(blocks * 4)).for_each(|(out, sums)| {

@@ -177,18 +177,18 @@ impl Reference {
     fn hits(&self, flats: &[Flat], x: usize, y: usize) -> (Vec<PixelHit>, bool) {
         let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
         let near = |a: f64, b: f64| (a / b - 1.0).abs() < 1e-3;
-        let (mut light, mut hits, mut unsure) = (1.0, Vec::new(), false);
+        let (mut transmittance, mut hits, mut unsure) = (1.0, Vec::new(), false);
         for (splat, flat) in flats.iter().enumerate() {
             let offset = pixel - flat.centre;
             let raw = flat.opacity * (-0.5 * offset.dot(flat.conic * offset)).exp();
-            unsure |= near(raw, 1.0 / 255.0) || near(raw, 0.999) || near(light, 1e-4);
-            if self.cutoffs && (raw < 1.0 / 255.0 || light < 1e-4) {
+            unsure |= near(raw, 1.0 / 255.0) || near(raw, 0.999) || near(transmittance, 1e-4);
+            if self.cutoffs && (raw < 1.0 / 255.0 || transmittance < 1e-4) {
                 continue;
             }
             let free = !self.cutoffs || raw < 0.999;
             let alpha = if free { raw } else { 0.999 };
-            hits.push(PixelHit { splat, alpha, before: light, offset, free });
-            light *= 1.0 - alpha;
+            hits.push(PixelHit { splat, alpha, before: transmittance, offset, free });
+            transmittance *= 1.0 - alpha;
         }
         (hits, unsure)
     }

@@ -110,18 +110,19 @@ impl GpuField {
         };
         let count = self.rows.count();
         let step = self.start(work, feature_target, sampled)?;
-        let (grads, blocks) = view.with_lights(work, |work, lights| {
+        let (grads, blocks) = view.with_transmittances(work, |work, transmittances| {
             let blocks = at_once(count);
             let alpha = work.take::<f32>("alpha", view.pixels())?;
             for first in parts_of(count) {
-                let image = view.on.blend(work, blocks, self.rows.part(first), false, &alpha, lights)?;
+                let image =
+                    view.on.blend(work, blocks, self.rows.part(first), false, &alpha, transmittances)?;
                 step.take(work, first / 4, blocks, &image);
             }
             step.compute_losses(work)?;
             let blocks = gathered_at_once(count);
             let grads = (0..count).step_by(blocks * 4).map(|first| {
                 let image = step.gradients(work, first / 4, blocks)?;
-                view.on.gather(work, blocks, &image, lights)
+                view.on.gather(work, blocks, &image, transmittances)
             });
             Ok((grads.collect::<Result<Vec<_>, _>>()?, blocks))
         })?;

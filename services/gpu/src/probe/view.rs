@@ -87,7 +87,7 @@ pub struct ViewPasses<'e> {
     values: PooledBuffer,
     image: PooledBuffer,
     alpha: PooledBuffer,
-    lights: PooledBuffer,
+    transmittances: PooledBuffer,
 }
 
 impl<'e> ViewPasses<'e> {
@@ -115,7 +115,7 @@ impl<'e> ViewPasses<'e> {
         work.clear(&values);
         work.clear(&image);
         let alpha = work.take::<f32>("alpha", on.pixels)?;
-        let lights = on.lights(&mut work)?;
+        let transmittances = on.transmittances(&mut work)?;
         let (camera, pose, options, sh_degree) = (*camera, *pose, *options, splats.sh_degree);
         Ok(ViewPasses {
             work,
@@ -133,7 +133,7 @@ impl<'e> ViewPasses<'e> {
             values,
             image,
             alpha,
-            lights,
+            transmittances,
         })
     }
 
@@ -173,8 +173,8 @@ impl<'e> ViewPasses<'e> {
     pub fn blend(&mut self) -> Result<(), GpuError> {
         let at_once = if self.blocks == 1 { 1 } else { 4 };
         for first in (0..self.blocks).step_by(at_once) {
-            let ViewPasses { work, on, values, alpha, lights, .. } = self;
-            on.blend(work, at_once, values, first == 0, alpha, lights)?;
+            let ViewPasses { work, on, values, alpha, transmittances, .. } = self;
+            on.blend(work, at_once, values, first == 0, alpha, transmittances)?;
         }
         Ok(())
     }
@@ -183,7 +183,7 @@ impl<'e> ViewPasses<'e> {
     pub fn gather(&mut self) -> Result<(), GpuError> {
         let at_once = self.blocks.min(2);
         for _ in (0..self.blocks).step_by(at_once) {
-            self.on.gather(&mut self.work, at_once, &self.image, &self.lights)?;
+            self.on.gather(&mut self.work, at_once, &self.image, &self.transmittances)?;
         }
         Ok(())
     }

@@ -11,7 +11,7 @@ use segwild_scene::{Camera, Pose, Splats};
 pub const ALPHA_MIN: f32 = 1.0 / 255.0;
 /// Largest alpha of one splat at one pixel.
 pub const ALPHA_MAX: f32 = 0.999;
-/// A pixel that lets less light through is finished.
+/// Transmittance below which a pixel is finished.
 pub const T_MIN: f32 = 1e-4;
 /// Base-2 logarithm of [`ALPHA_MIN`].
 pub const LOG2_ALPHA_MIN: f32 = -7.994_353_4;

@@ -1,7 +1,7 @@
 //! The walk that all kernels share: a tile's splats front to back, each over the pixels it reaches.
 //!
 //! A tile keeps its pixels in rows of [`STRIDE`] numbers. Blocks of eight pixels start wherever a splat's row
-//! starts; the columns beyond the tile have no light left (T = 0), so a block that hangs over does nothing there.
+//! starts; the columns beyond the tile have T = 0, so a block that hangs over does nothing there.
 
 use super::bin::{Bins, HEIGHT, TileEntry, WIDTH};
 use super::project::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, SplatFootprint, T_MIN};
@@ -92,7 +92,7 @@ pub(crate) trait TileVisitor<S: Simd> {
     fn row_end(&mut self, _s: S) {}
     /// The splat ends.
     fn end(&mut self, _s: S, _footprint: &SplatFootprint, _entry: &TileEntry) {}
-    /// No light is left for this splat.
+    /// No transmittance is left for this splat.
     fn skip(&mut self, _s: S, _entry: &TileEntry) {}
 }
 
@@ -141,15 +141,15 @@ fn rows<S: Simd>(
     }
 }
 
-/// One bit per row that still lets light through.
+/// One bit per row with a pixel that is not finished ([`T_MIN`]).
 #[inline(always)]
-fn lit<S: Simd>(s: S, light: &TilePlane) -> u32 {
+fn unfinished_rows<S: Simd>(s: S, transmittance: &TilePlane) -> u32 {
     let mut rows = 0;
     for row in 0..HEIGHT {
         let mut most = s.splat(0.0);
         for block in 0..WIDTH / LANES {
             // SAFETY: a row has WIDTH numbers and the padding.
-            let t = unsafe { s.load(light.0.as_ptr().add(row * STRIDE + block * LANES)) };
+            let t = unsafe { s.load(transmittance.0.as_ptr().add(row * STRIDE + block * LANES)) };
             most = s.max(most, t);
         }
         if s.bits(s.ge(most, s.splat(T_MIN))) != 0 {
@@ -168,9 +168,9 @@ pub(crate) fn walk<S: Simd, V: TileVisitor<S>>(
     extent: &TileExtent,
     visitor: &mut V,
 ) {
-    let mut light = TilePlane::ZERO;
+    let mut transmittance = TilePlane::ZERO;
     for row in 0..extent.height {
-        light.0[row * STRIDE..row * STRIDE + extent.width].fill(1.0);
+        transmittance.0[row * STRIDE..row * STRIDE + extent.width].fill(1.0);
     }
     let mut spans = SplatRows {
         from: [[0; LANES]; BANDS],
@@ -182,7 +182,7 @@ pub(crate) fn walk<S: Simd, V: TileVisitor<S>>(
     let mut alive = (1u32 << extent.height) - 1;
     for (k, entry) in entries.iter().enumerate() {
         if k % CHECK == CHECK - 1 {
-            alive = lit(s, &light);
+            alive = unfinished_rows(s, &transmittance);
             if alive == 0 {
                 for entry in &entries[k..] {
                     visitor.skip(s, entry);
@@ -216,7 +216,7 @@ pub(crate) fn walk<S: Simd, V: TileVisitor<S>>(
             while x <= to {
                 let at = row * STRIDE + x as usize;
                 // SAFETY: row < HEIGHT and 0 <= x < WIDTH, so eight numbers from `at` on end inside the row's padding.
-                let t = unsafe { s.load(light.0.as_ptr().add(at)) };
+                let t = unsafe { s.load(transmittance.0.as_ptr().add(at)) };
                 let u = s.add(s.iota(), s.splat(x as f32 - offset));
                 let power = s.sub(peak, s.mul(a, s.mul(u, u)));
                 let raw = s.exp2(s.max(power, s.splat(-64.0)));
@@ -224,7 +224,7 @@ pub(crate) fn walk<S: Simd, V: TileVisitor<S>>(
                 let hit = s.both(s.ge(raw, s.splat(ALPHA_MIN)), s.ge(t, s.splat(T_MIN)));
                 let weight = s.keep(s.mul(alpha, t), hit);
                 // SAFETY: as for the load.
-                unsafe { s.store(light.0.as_mut_ptr().add(at), s.sub(t, weight)) };
+                unsafe { s.store(transmittance.0.as_mut_ptr().add(at), s.sub(t, weight)) };
                 let free = s.lt(raw, s.splat(ALPHA_MAX));
                 visitor.block(s, f, &PixelBlock { at, u, alpha, free, hit, weight });
                 x += LANES as i32;
