@@ -3,10 +3,10 @@
 use crate::GpuError;
 use crate::adapter::{Adapter, AdapterChoice};
 use crate::bin::{Cloud, bin};
+use crate::channels::GpuChannels;
 use crate::compare::GpuPhotoCache;
 use crate::device::GpuDevice;
 use crate::field::{GpuFeatureTarget, GpuField, GpuSums};
-use crate::kept::GpuChannels;
 use crate::memory::settles;
 use crate::parameters::GpuTraining;
 use crate::shaders::Kernel;

@@ -43,13 +43,13 @@ extern crate self as segwild_gpu;
 
 mod adapter;
 mod bin;
+mod channels;
 mod clock;
 mod compare;
 mod device;
 mod engine;
 mod field;
 mod groups;
-mod kept;
 mod memory;
 mod need;
 mod nets;

@@ -3,8 +3,8 @@
 
 use crate::GpuError;
 use crate::bin::Binned;
+use crate::channels::GpuChannels;
 use crate::device::{DeviceWork, GpuDevice, PooledBuffer, lock};
-use crate::kept::GpuChannels;
 use crate::packing::{at_once, gathered_at_once, pack_image, pack_splats, unpack_image};
 use crate::passes::ShapeGrads;
 use glam::Vec3;

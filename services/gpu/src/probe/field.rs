@@ -1,9 +1,9 @@
 //! The feature field: its losses, the optimiser of rows, and the similarity to clicks.
 
 use super::device_passes::DevicePasses;
+use crate::channels::GpuChannels;
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::field::{GpuFeatureTarget, GpuField, GpuRows};
-use crate::kept::GpuChannels;
 use crate::packing::{at_once, gathered_at_once, pack_image, pack_splats, parts_of, unpack_image};
 use crate::{GpuEngine, GpuError};
 use segwild_objective::field::{
