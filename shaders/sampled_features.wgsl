@@ -1,5 +1,5 @@
-// The features of sampled pixels, plane by plane (twin: `Refining::compute_losses` in objective/src/field/mod.rs). A
-// thread per pixel and vec4 of channels.
+// The features of sampled pixels, plane by plane (twin: `FieldRefinement::add_compactness_gradient` in
+// objective/src/field/mod.rs). A thread per pixel and vec4 of channels.
 #import common
 
 // x: first vec4 of the image's channels, y: channels, z: pixels sampled.

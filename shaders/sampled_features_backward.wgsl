@@ -1,5 +1,5 @@
 // Adds the compactness gradients of sampled pixels, none of which occurs twice, to those of the image (twin:
-// `Refining::compute_losses` in objective/src/field/mod.rs). A thread per pixel and vec4 of channels.
+// `FieldRefinement::add_compactness_gradient` in objective/src/field/mod.rs). A thread per pixel and vec4 of channels.
 #import common
 
 // x: first vec4 of the image's channels, y: channels, z: pixels sampled.

@@ -1,7 +1,7 @@
 //! The feature field: one feature vector per splat, beside its colour.
 
 use crate::{FeatureDecoder, FeatureError, Pca};
-use segwild_raster::{Channels, Kept};
+use segwild_raster::{Channels, ResidentChannels};
 use wincode::{SchemaRead, SchemaWrite};
 
 /// Features of a scene's splats, and the maps between features and embeddings.
@@ -46,8 +46,8 @@ impl FeatureField {
     }
 
     /// The same, to be blended into many views.
-    pub fn kept(&self) -> Kept<'_> {
-        Kept::new(self.channels, &self.values)
+    pub fn resident_channels(&self) -> ResidentChannels<'_> {
+        ResidentChannels::new(self.channels, &self.values)
     }
 
     /// Number of splats.

@@ -31,9 +31,9 @@ impl Lifter {
         Lifter { splats, sums: Lifting::new(splats, channels) }
     }
 
-    /// Keeps the sums in the memory of the engine whose projections are added.
-    pub fn settle(&mut self, engine: &dyn FieldBackend) -> Result<(), FeatureError> {
-        Ok(self.sums.settle(engine)?)
+    /// Allocates the sums on the device of the engine whose projections are added, if it has the memory.
+    pub fn allocate_on_device(&mut self, engine: &dyn FieldBackend) -> Result<(), FeatureError> {
+        Ok(self.sums.allocate_on_device(engine)?)
     }
 
     /// Adds a photo: `target` has `channels` planes at the size `projected` was made for, `validity` one plane

@@ -10,7 +10,8 @@ use crate::{
     ViewTarget,
 };
 use segwild_objective::field::{
-    AreaAverage, FeatureTarget, FieldLosses, FieldRule, LearnedDecoder, Membership, Refining, SampledPixels,
+    AreaAverage, FeatureTarget, FieldLosses, FieldRefinement, FieldWeights, LearnedDecoder, Membership,
+    SampledPixels,
 };
 use segwild_objective::{Engine, FieldBackend};
 use segwild_raster::{ProjectOptions, Projected, Rasterizer};
@@ -59,11 +60,11 @@ pub fn build(
     options: &ProjectOptions,
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<FeatureField, FeatureError> {
-    let held = engine.hold(splats)?;
-    let rasterizer = held.as_deref().unwrap_or(engine);
+    let resident = engine.upload_splats(splats)?;
+    let rasterizer = resident.as_deref().unwrap_or(engine);
     let mut views = Views::new(rasterizer, engine, splats, source, pca, settings, options);
     let mut lifter = Lifter::new(splats.len(), pca.channels);
-    lifter.settle(engine)?;
+    lifter.allocate_on_device(engine)?;
     for i in 0..source.len() {
         let view = views.get(i)?;
         let compressed = view.compressed(pca, settings.compression)?;
@@ -99,13 +100,14 @@ fn refine(
     let offsets: Vec<f32> = pca.mean.iter().map(|m| m * pca.scale).collect();
     let decoder = (settings.compression == Compression::Learned)
         .then(|| LearnedDecoder::new(&pca.basis, &offsets, settings.decoder_lr));
-    let rule = FieldRule {
+    let weights = FieldWeights {
         embedding: settings.weight_embedding,
         compact: settings.weight_compact,
         rate: settings.feature_lr,
     };
-    let mut refining = Refining::new(field.channels, std::mem::take(&mut field.values), decoder, rule);
-    refining.settle(views.engine)?;
+    let mut refinement =
+        FieldRefinement::new(field.channels, std::mem::take(&mut field.values), decoder, weights);
+    refinement.upload(views.engine)?;
     let mut order: Vec<usize> = (0..count).collect();
     for step in 0..of {
         if step % count == 0 {
@@ -122,14 +124,14 @@ fn refine(
             (&unused, Vec::new())
         };
         let rendered = SampledPixels { pixels: &pixels, membership: &members.membership };
-        refining.step(&*view.projected, &view.feature_target(), &rendered)?;
+        refinement.step(&*view.projected, &view.feature_target(), &rendered)?;
         let done = step + 1;
-        let losses = if step == 0 || done % LOSS_INTERVAL == 0 { Some(refining.losses()?) } else { None };
+        let losses = if step == 0 || done % LOSS_INTERVAL == 0 { Some(refinement.losses()?) } else { None };
         if progress(Progress::Refined { done, of, losses }).is_break() {
             break;
         }
     }
-    let refined = refining.finish()?;
+    let refined = refinement.finish()?;
     field.values = refined.values;
     if let Some(mut weights) = refined.decoder {
         weights.iter_mut().for_each(|w| *w /= field.pca.scale);

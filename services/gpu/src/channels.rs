@@ -3,7 +3,7 @@
 use crate::GpuError;
 use crate::device::{DeviceWork, GpuDevice, PooledBuffer};
 use crate::groups::GROUP;
-use crate::memory::keeps_channels;
+use crate::memory::channels_fit;
 use crate::packing::{at_once, pack_splats, parts_of};
 use crate::shaders::{COSINES, FUSE};
 use segwild_objective::field::Queries;
@@ -27,7 +27,7 @@ impl GpuChannels {
         let wide = at_once(count) * 4;
         let bytes = 4 * (n * count.next_multiple_of(wide)) as u64;
         let mut work = device.work();
-        if !keeps_channels(bytes, work.budget()) {
+        if !channels_fit(bytes, work.budget()) {
             return Ok(None);
         }
         let parts = parts_of(count)

@@ -3,7 +3,7 @@
 use crate::GpuError;
 use crate::device::{DeviceWork, PooledBuffer, lock};
 use crate::groups::{GROUP, TILE};
-use crate::memory::photos_kept;
+use crate::memory::photo_cache_bytes;
 use crate::nets::Visible;
 use crate::shaders::{
     BOX_MEAN, CHOOSE_WEIGHTS, COLOUR_SUMS, COMPOSE, COMPOSE_BACKWARD, L1_SSIM_BACKWARD, PART_RESIDUALS,
@@ -127,10 +127,10 @@ impl GpuPhotoCache {
         target: &dyn Fn() -> PhotoTarget,
         splats: usize,
     ) -> Result<(Arc<GpuPhoto>, Option<usize>), GpuError> {
-        let mut held = lock(&self.0);
-        held.clock += 1;
-        let used = held.clock;
-        if let Some(kept) = held.photos.get_mut(&key) {
+        let mut cache = lock(&self.0);
+        cache.clock += 1;
+        let used = cache.clock;
+        if let Some(kept) = cache.photos.get_mut(&key) {
             kept.used = used;
             // A view's pairs grow with the splats; a quarter and a few more, for what else changes.
             let capacity = kept.pairs.map(|(pairs, then)| {
@@ -140,9 +140,9 @@ impl GpuPhotoCache {
             return Ok((Arc::clone(&kept.photo), capacity));
         }
         let photo = Arc::new(GpuPhoto::upload(work, &target())?);
-        held.bytes += photo.bytes();
-        held.keep_within(photos_kept(work.budget()));
-        held.photos.insert(key, CachedPhoto { photo: Arc::clone(&photo), used, pairs: None });
+        cache.bytes += photo.bytes();
+        cache.keep_within(photo_cache_bytes(work.budget()));
+        cache.photos.insert(key, CachedPhoto { photo: Arc::clone(&photo), used, pairs: None });
         Ok((photo, None))
     }
 

@@ -61,7 +61,7 @@ pub(crate) struct GpuDevice {
     free: Free,
     staging: Free,
     /// Bytes of all buffers there are, and how many there may be; 0 sets no limit.
-    held: AtomicU64,
+    allocated: AtomicU64,
     budget: AtomicU64,
     /// Bytes that were uploaded since it was opened.
     uploaded_bytes: AtomicU64,
@@ -100,7 +100,7 @@ impl GpuDevice {
             kernels: Mutex::default(),
             free: Free::default(),
             staging: Free::default(),
-            held: AtomicU64::new(0),
+            allocated: AtomicU64::new(0),
             budget: AtomicU64::new(0),
             uploaded_bytes: AtomicU64::new(0),
             arena,
@@ -178,8 +178,8 @@ impl GpuDevice {
     }
 
     /// Bytes of the device's memory that are taken.
-    pub fn held(&self) -> u64 {
-        self.held.load(Ordering::Relaxed)
+    pub fn allocated_bytes(&self) -> u64 {
+        self.allocated.load(Ordering::Relaxed)
     }
 
     /// Bytes that were uploaded since it was opened.
@@ -200,16 +200,16 @@ impl GpuDevice {
         bytes: u64,
         usage: BufferUsages,
     ) -> Result<PooledBuffer, GpuError> {
-        let mut held = lock(free);
+        let mut buffers = lock(free);
         let fits = |size: u64| size >= bytes && size <= 2 * bytes + (1 << 16);
-        let best = (0..held.len()).filter(|&i| fits(held[i].size())).min_by_key(|&i| held[i].size());
-        let buffer = best.map(|i| held.swap_remove(i));
-        drop(held);
+        let best = (0..buffers.len()).filter(|&i| fits(buffers[i].size())).min_by_key(|&i| buffers[i].size());
+        let buffer = best.map(|i| buffers.swap_remove(i));
+        drop(buffers);
         let buffer = match buffer {
             Some(buffer) => buffer,
             None => {
                 let size = self.free_memory(what, bytes)?;
-                self.held.fetch_add(size, Ordering::Relaxed);
+                self.allocated.fetch_add(size, Ordering::Relaxed);
                 self.device.create_buffer(&wgpu::BufferDescriptor {
                     label: Some(what),
                     size,
@@ -226,21 +226,27 @@ impl GpuDevice {
         // A quarter more, so that the next view's array, which is about as long, fits.
         let ample = (bytes + bytes / 4).min(self.limit.max(bytes)).next_multiple_of(256);
         let (least, budget) = (bytes.next_multiple_of(256), self.budget());
-        if budget == 0 || self.held() + ample <= budget {
+        if budget == 0 || self.allocated_bytes() + ample <= budget {
             return Ok(ample);
         }
         for free in [&self.free, &self.staging] {
             let mut free = lock(free);
             free.sort_by_key(wgpu::Buffer::size);
-            while self.held() + least > budget
+            while self.allocated_bytes() + least > budget
                 && let Some(longest) = free.pop()
             {
-                self.held.fetch_sub(longest.size(), Ordering::Relaxed);
+                self.allocated.fetch_sub(longest.size(), Ordering::Relaxed);
             }
         }
-        if self.held() + least > budget {
+        if self.allocated_bytes() + least > budget {
             let adapter = self.adapter.name.clone();
-            return Err(GpuError::OverBudget { adapter, what, bytes, held: self.held(), budget });
+            return Err(GpuError::OverBudget {
+                adapter,
+                what,
+                bytes,
+                allocated: self.allocated_bytes(),
+                budget,
+            });
         }
         Ok(least)
     }

@@ -7,14 +7,14 @@ use crate::channels::GpuChannels;
 use crate::compare::GpuPhotoCache;
 use crate::device::GpuDevice;
 use crate::field::{GpuFeatureTarget, GpuField, GpuSums};
-use crate::memory::settles;
+use crate::memory::field_fits;
 use crate::parameters::GpuTraining;
 use crate::shaders::Kernel;
 use crate::view::GpuProjected;
-use segwild_objective::field::{DeviceLifting, DeviceRefinement, FeatureTarget, Queries, Refining};
+use segwild_objective::field::{DeviceLifting, DeviceRefinement, FeatureTarget, FieldRefinement, Queries};
+use segwild_objective::{DeviceTraining, TrainingSplats};
 use segwild_objective::{FieldBackend, TrainingBackend};
-use segwild_objective::{Held, Resident};
-use segwild_raster::{Channels, Kept, ProjectOptions, Projected, RasterError, Rasterizer, check};
+use segwild_raster::{Channels, ProjectOptions, Projected, RasterError, Rasterizer, ResidentChannels, check};
 use segwild_scene::{Camera, Pose, Splats};
 use std::any::Any;
 use std::sync::Arc;
@@ -60,8 +60,8 @@ impl GpuEngine {
     }
 
     /// Bytes of the accelerator's memory that are taken.
-    pub fn held(&self) -> u64 {
-        self.device.held()
+    pub fn allocated_bytes(&self) -> u64 {
+        self.device.allocated_bytes()
     }
 
     /// Bytes uploaded since it was opened, for tests.
@@ -93,21 +93,31 @@ impl Rasterizer for GpuEngine {
         self.project_cloud(splats, cloud, camera, pose, options)
     }
 
-    fn hold<'a>(&'a self, splats: &'a Splats) -> Result<Option<Box<dyn Rasterizer + 'a>>, RasterError> {
+    fn upload_splats<'a>(
+        &'a self,
+        splats: &'a Splats,
+    ) -> Result<Option<Box<dyn Rasterizer + 'a>>, RasterError> {
         let cloud = if_it_fits(Cloud::upload(&mut self.device.work(), splats))?.map(Arc::new);
-        Ok(cloud
-            .map(|cloud| Box::new(HeldEngine { engine: self, splats, cloud }) as Box<dyn Rasterizer + 'a>))
+        Ok(cloud.map(|cloud| {
+            Box::new(ResidentSplats { engine: self, splats, cloud }) as Box<dyn Rasterizer + 'a>
+        }))
     }
 
-    fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
-        let uploaded_bytes = if_it_fits(GpuChannels::upload(&self.device, channels))?.flatten();
-        Ok(uploaded_bytes.map(|uploaded_bytes| Box::new(uploaded_bytes) as Box<dyn Any + Send + Sync>))
+    fn upload_channels(
+        &self,
+        channels: &Channels,
+    ) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
+        let resident = if_it_fits(GpuChannels::upload(&self.device, channels))?.flatten();
+        Ok(resident.map(|resident| Box::new(resident) as Box<dyn Any + Send + Sync>))
     }
 }
 
 impl FieldBackend for GpuEngine {
-    fn settle_refining(&self, field: &Refining) -> Result<Option<Box<dyn DeviceRefinement>>, RasterError> {
-        if !settles(GpuField::bytes(field), self.budget()) {
+    fn upload_refinement(
+        &self,
+        field: &FieldRefinement,
+    ) -> Result<Option<Box<dyn DeviceRefinement>>, RasterError> {
+        if !field_fits(GpuField::bytes(field), self.budget()) {
             return Ok(None);
         }
         let field = if_it_fits(GpuField::upload(&self.device, field))?;
@@ -118,25 +128,29 @@ impl FieldBackend for GpuEngine {
         &self,
         feature_target: &FeatureTarget,
     ) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
-        let kept = if_it_fits(GpuFeatureTarget::keep(&self.device, feature_target))?.flatten();
-        Ok(kept.map(|kept| Box::new(kept) as Box<dyn Any + Send + Sync>))
+        let uploaded =
+            if_it_fits(GpuFeatureTarget::upload_for_many_steps(&self.device, feature_target))?.flatten();
+        Ok(uploaded.map(|uploaded| Box::new(uploaded) as Box<dyn Any + Send + Sync>))
     }
 
-    fn similarity(&self, features: &Kept, queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
-        let uploaded_bytes =
-            features.on_device().and_then(|on_device| on_device.downcast_ref::<GpuChannels>());
-        match uploaded_bytes.filter(|uploaded_bytes| uploaded_bytes.is_on(&self.device)) {
-            Some(uploaded_bytes) => if_it_fits(uploaded_bytes.similarity(queries)),
+    fn similarity(
+        &self,
+        features: &ResidentChannels,
+        queries: &Queries,
+    ) -> Result<Option<Vec<f32>>, RasterError> {
+        let resident = features.on_device().and_then(|on_device| on_device.downcast_ref::<GpuChannels>());
+        match resident.filter(|resident| resident.is_on(&self.device)) {
+            Some(resident) => if_it_fits(resident.similarity(queries)),
             None => Ok(None),
         }
     }
 
-    fn settle_lifting(
+    fn allocate_lifting(
         &self,
         splats: usize,
         row: usize,
     ) -> Result<Option<Box<dyn DeviceLifting>>, RasterError> {
-        if !settles(GpuSums::bytes(splats, row), self.budget()) {
+        if !field_fits(GpuSums::bytes(splats, row), self.budget()) {
             return Ok(None);
         }
         let sums = if_it_fits(GpuSums::new(&self.device, splats, row))?;
@@ -145,8 +159,11 @@ impl FieldBackend for GpuEngine {
 }
 
 impl TrainingBackend for GpuEngine {
-    fn settle(&self, held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
-        match GpuTraining::new(&self.device, &self.photos_on_device, &held()) {
+    fn upload_training(
+        &self,
+        splats: &mut dyn FnMut() -> TrainingSplats,
+    ) -> Result<Option<Box<dyn DeviceTraining>>, RasterError> {
+        match GpuTraining::upload(&self.device, &self.photos_on_device, &splats()) {
             Ok(training) => Ok(Some(Box::new(training))),
             Err(error) if error.is_out_of_memory() => {
                 tracing::warn!("splats stay on the host while they are trained: {error}");
@@ -158,13 +175,13 @@ impl TrainingBackend for GpuEngine {
 }
 
 /// The engine and the splats on its device.
-pub(crate) struct HeldEngine<'s> {
+pub(crate) struct ResidentSplats<'s> {
     pub engine: &'s GpuEngine,
     pub splats: &'s Splats,
     pub cloud: Arc<Cloud>,
 }
 
-impl Rasterizer for HeldEngine<'_> {
+impl Rasterizer for ResidentSplats<'_> {
     fn name(&self) -> &'static str {
         self.engine.name()
     }
@@ -184,8 +201,11 @@ impl Rasterizer for HeldEngine<'_> {
         self.engine.project_cloud(splats, self.cloud.clone(), camera, pose, options)
     }
 
-    fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
-        self.engine.bring(channels)
+    fn upload_channels(
+        &self,
+        channels: &Channels,
+    ) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
+        self.engine.upload_channels(channels)
     }
 }
 

@@ -107,7 +107,7 @@ pub enum GpuError {
     },
     /// All arrays together are to take less.
     #[error(
-        "{what} would take {bytes} bytes of {adapter}'s memory, of which {held} are taken and {budget} allowed: give more by \
+        "{what} would take {bytes} bytes of {adapter}'s memory, of which {allocated} are taken and {budget} allowed: give more by \
          --memory-budget, or lower --splats or --size"
     )]
     OverBudget {
@@ -118,7 +118,7 @@ pub enum GpuError {
         /// How long it would be.
         bytes: u64,
         /// Bytes of the others.
-        held: u64,
+        allocated: u64,
         /// How many there may be.
         budget: u64,
     },

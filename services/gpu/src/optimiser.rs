@@ -8,7 +8,7 @@ use crate::parameters::GpuTraining;
 use crate::passes::ShapeGrads;
 use crate::shaders::ADAM;
 use bytemuck::{Pod, Zeroable};
-use segwild_objective::{NetworksStep, OptimiserRules, Resident, Rule};
+use segwild_objective::{DeviceTraining, NetworksStep, OptimiserRules, Rule};
 
 /// `OptimiserRules` of `adam.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]

@@ -5,7 +5,7 @@ use crate::bin::Cloud;
 use crate::compare::GpuPhotoCache;
 use crate::device::{DeviceWork, GpuDevice, PooledBuffer};
 use crate::nets::GpuNetworks;
-use segwild_objective::{EmbedAppearance, Held};
+use segwild_objective::{EmbedAppearance, TrainingSplats};
 use segwild_scene::Splats;
 use std::sync::Arc;
 
@@ -66,28 +66,28 @@ pub(crate) struct GpuTraining {
 }
 
 impl GpuTraining {
-    pub fn new(
+    pub fn upload(
         device: &Arc<GpuDevice>,
         photos_on_device: &Arc<GpuPhotoCache>,
-        held: &Held,
+        state: &TrainingSplats,
     ) -> Result<GpuTraining, GpuError> {
         let mut work = device.work();
         Ok(GpuTraining {
-            sh_degree: held.splats.sh_degree,
-            splats: GpuParameters::upload(&mut work, &held.splats)?,
-            first: GpuParameters::upload(&mut work, &held.first)?,
-            second: GpuParameters::upload(&mut work, &held.second)?,
-            sums: work.upload("the sums for density control", &held.sums)?,
-            splat_embeddings: match &held.splat_embeddings.values {
+            sh_degree: state.splats.sh_degree,
+            splats: GpuParameters::upload(&mut work, &state.splats)?,
+            first: GpuParameters::upload(&mut work, &state.first)?,
+            second: GpuParameters::upload(&mut work, &state.second)?,
+            sums: work.upload("the sums for density control", &state.sums)?,
+            splat_embeddings: match &state.splat_embeddings.values {
                 none if none.is_empty() => None,
                 values => Some(GpuSplatEmbeddings {
                     values: work.upload("the splats' embeddings", values)?,
-                    first: work.upload("the embeddings' first moments", &held.splat_embeddings.first)?,
-                    second: work.upload("the embeddings' second moments", &held.splat_embeddings.second)?,
-                    width: values.len() / held.splats.len(),
+                    first: work.upload("the embeddings' first moments", &state.splat_embeddings.first)?,
+                    second: work.upload("the embeddings' second moments", &state.splat_embeddings.second)?,
+                    width: values.len() / state.splats.len(),
                 }),
             },
-            networks: match &held.networks {
+            networks: match &state.networks {
                 Some(networks) => Some(GpuNetworks::upload(&mut work, networks)?),
                 None => None,
             },

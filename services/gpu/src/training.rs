@@ -12,7 +12,9 @@ use crate::parameters::{GpuParameters, GpuSplatEmbeddings, GpuTraining};
 use crate::passes::ShapeGrads;
 use crate::shaders::{OBSERVE, SELECT, SHADE, SHADE_BACKWARD, TINT, TINT_BACKWARD};
 use segwild_objective::compare::LossOutput;
-use segwild_objective::{EmbedLight, Held, NetworksStep, Reshaped, Resident, SplatEmbeddings, TrainingStep};
+use segwild_objective::{
+    DeviceTraining, EmbedLight, NetworksStep, Reshaped, SplatEmbeddings, TrainingSplats, TrainingStep,
+};
 use segwild_raster::{ProjectOptions, RasterError, check};
 use segwild_scene::{Camera, Pose, Splats};
 use std::sync::Arc;
@@ -274,9 +276,9 @@ impl GpuTraining {
         Ok((splats, work.read(&self.sums, self.count())?))
     }
 
-    fn try_fetch(&mut self) -> Result<Held, GpuError> {
+    fn try_download(&mut self) -> Result<TrainingSplats, GpuError> {
         let mut work = self.device.work();
-        Ok(Held {
+        Ok(TrainingSplats {
             splats: self.splats.read(&mut work, self.sh_degree)?,
             first: self.first.read(&mut work, self.sh_degree)?,
             second: self.second.read(&mut work, self.sh_degree)?,
@@ -301,7 +303,7 @@ impl GpuTraining {
     }
 }
 
-impl Resident for GpuTraining {
+impl DeviceTraining for GpuTraining {
     fn step(&mut self, step: &TrainingStep) -> Result<(LossOutput, Option<EmbedLight>), RasterError> {
         check(&Splats::default(), step.loss_inputs.camera)?;
         Ok(self.try_step(step)?)
@@ -323,7 +325,7 @@ impl Resident for GpuTraining {
         }
     }
 
-    fn fetch(&mut self) -> Result<Held, RasterError> {
-        Ok(self.try_fetch()?)
+    fn download(&mut self) -> Result<TrainingSplats, RasterError> {
+        Ok(self.try_download()?)
     }
 }

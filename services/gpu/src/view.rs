@@ -10,7 +10,7 @@ use crate::passes::ShapeGrads;
 use glam::Vec3;
 use rayon::prelude::*;
 use segwild_raster::{
-    Channels, Frame, FrameGrad, Kept, Projected, RasterError, SplatGrads, shade, shade_backward,
+    Channels, Frame, FrameGrad, Projected, RasterError, ResidentChannels, SplatGrads, shade, shade_backward,
 };
 use segwild_scene::{Image, Splats};
 use std::any::Any;
@@ -20,7 +20,7 @@ use std::sync::{Arc, Mutex};
 #[derive(Clone, Copy)]
 enum ChannelSource<'a> {
     Host(&'a [f32]),
-    Kept(&'a GpuChannels),
+    Resident(&'a GpuChannels),
 }
 
 /// Splats as one view sees them: what the host has of it, and what the device has.
@@ -112,7 +112,7 @@ impl GpuView {
                     up = work.take::<[f32; 4]>("the splats' channels", n)?;
                     &up
                 }
-                ChannelSource::Kept(brought) => brought.part(first),
+                ChannelSource::Resident(resident) => resident.part(first),
                 ChannelSource::Host(values) => {
                     let packed = pack_splats(values, n, count, first, blocks, false);
                     up = work.upload("the splats' channels", &packed)?;
@@ -141,18 +141,18 @@ impl GpuView {
         work: &mut DeviceWork,
         run: impl FnOnce(&mut DeviceWork, &PooledBuffer) -> Result<T, GpuError>,
     ) -> Result<T, GpuError> {
-        let mut held = lock(&self.transmittances);
-        if held.is_none() {
+        let mut stored = lock(&self.transmittances);
+        if stored.is_none() {
             let values = work.take::<[f32; 4]>("the splats' channels", self.splats)?;
             let alpha = work.take::<f32>("alpha", self.pixels())?;
             let transmittances = self.on.transmittances(work)?;
             self.on.blend(work, 1, &values, true, &alpha, &transmittances)?;
-            *held = Some(transmittances);
+            *stored = Some(transmittances);
         }
-        run(work, held.as_ref().expect("it was made above"))
+        run(work, stored.as_ref().expect("it was made above"))
     }
 
-    /// Whether this is the view's device. A device that is held has a unique address.
+    /// Whether this is the view's device. A device in use has a unique address.
     pub fn is_on(&self, device: &Arc<GpuDevice>) -> bool {
         Arc::ptr_eq(device, &self.device)
     }
@@ -259,14 +259,14 @@ impl Projected for GpuProjected<'_> {
         Ok(self.view.try_blend(channels.count, ChannelSource::Host(channels.values))?)
     }
 
-    fn blend_kept(&self, kept: &Kept) -> Result<Frame, RasterError> {
-        let channels = kept.channels();
-        assert_eq!(channels.values.len(), self.splats.len() * channels.count, "channels: values");
-        let brought = kept.on_device().and_then(|on_device| on_device.downcast_ref::<GpuChannels>());
-        let brought = brought.filter(|brought| brought.is_on(&self.view.device));
+    fn blend_resident(&self, channels: &ResidentChannels) -> Result<Frame, RasterError> {
+        let host = channels.on_host();
+        assert_eq!(host.values.len(), self.splats.len() * host.count, "channels: values");
+        let resident = channels.on_device().and_then(|on_device| on_device.downcast_ref::<GpuChannels>());
+        let resident = resident.filter(|resident| resident.is_on(&self.view.device));
         Ok(self.view.try_blend(
-            channels.count,
-            brought.map_or(ChannelSource::Host(channels.values), ChannelSource::Kept),
+            host.count,
+            resident.map_or(ChannelSource::Host(host.values), ChannelSource::Resident),
         )?)
     }
 

@@ -1,26 +1,28 @@
 //! What an engine may do beside rasterising: train splats, and refine features, on its device. An engine that computes
 //! on the host does neither by itself: the host's code of the trainer and of [`crate::field`] drives its rasteriser.
 
-use crate::field::{DeviceLifting, DeviceRefinement, FeatureTarget, Lifting, Queries, Refining};
-use crate::{Held, Resident};
-use segwild_raster::{CpuEngine, Kept, RasterError, Rasterizer};
+use crate::field::{DeviceLifting, DeviceRefinement, FeatureTarget, FieldRefinement, Lifting, Queries};
+use crate::{DeviceTraining, TrainingSplats};
+use segwild_raster::{CpuEngine, RasterError, Rasterizer, ResidentChannels};
 use std::any::Any;
 
 /// Trains splats on its device.
 pub trait TrainingBackend: Send + Sync {
-    /// Uploads splats, which `held` provides, to be trained on the device. `None` where this engine computes on the
+    /// Uploads splats, which `splats` provides, to be trained on the device. `None` where this engine computes on the
     /// host, or where they do not fit.
-    fn settle(&self, _held: &mut dyn FnMut() -> Held) -> Result<Option<Box<dyn Resident>>, RasterError> {
+    fn upload_training(
+        &self,
+        _splats: &mut dyn FnMut() -> TrainingSplats,
+    ) -> Result<Option<Box<dyn DeviceTraining>>, RasterError> {
         Ok(None)
     }
 }
 
 /// Lifts, refines and compares features on its device.
 pub trait FieldBackend: Send + Sync {
-    /// Allocates sums of rows of so many numbers per splat on the device, for
-    /// [`Lifting::settle`]. `None` where this engine computes on the host, or where they
-    /// would take too much memory.
-    fn settle_lifting(
+    /// Allocates sums of rows of so many numbers per splat on the device, for [`Lifting::allocate_on_device`]. `None`
+    /// where this engine computes on the host, or where they would take too much memory.
+    fn allocate_lifting(
         &self,
         _splats: usize,
         _row: usize,
@@ -28,14 +30,17 @@ pub trait FieldBackend: Send + Sync {
         Ok(None)
     }
 
-    /// Uploads features, to be refined on the device ([`Refining::settle`]). `None` as for
-    /// [`FieldBackend::settle_lifting`].
-    fn settle_refining(&self, _field: &Refining) -> Result<Option<Box<dyn DeviceRefinement>>, RasterError> {
+    /// Uploads features, to be refined on the device ([`FieldRefinement::upload`]). `None` as for
+    /// [`FieldBackend::allocate_lifting`].
+    fn upload_refinement(
+        &self,
+        _field: &FieldRefinement,
+    ) -> Result<Option<Box<dyn DeviceRefinement>>, RasterError> {
         Ok(None)
     }
 
     /// Uploads the feature target of a photo, for many steps ([`FeatureTarget::on_device`]). `None` as for
-    /// [`FieldBackend::settle_lifting`].
+    /// [`FieldBackend::allocate_lifting`].
     fn upload_target(
         &self,
         _feature_target: &FeatureTarget,
@@ -44,23 +49,27 @@ pub trait FieldBackend: Send + Sync {
     }
 
     /// [`score`](crate::field::score) of features that were uploaded; `None` where they were not.
-    fn similarity(&self, _features: &Kept, _queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
+    fn similarity(
+        &self,
+        _features: &ResidentChannels,
+        _queries: &Queries,
+    ) -> Result<Option<Vec<f32>>, RasterError> {
         Ok(None)
     }
 }
 
 impl Lifting {
-    /// Moves them to the device of an engine, if it has the memory.
-    pub fn settle(&mut self, engine: &dyn FieldBackend) -> Result<(), RasterError> {
-        self.on_device = engine.settle_lifting(self.splats(), self.row())?;
+    /// Allocates the sums on the device of an engine, if it has the memory; before the first view.
+    pub fn allocate_on_device(&mut self, engine: &dyn FieldBackend) -> Result<(), RasterError> {
+        self.on_device = engine.allocate_lifting(self.splats(), self.row())?;
         Ok(())
     }
 }
 
-impl Refining {
-    /// Moves them to the device of an engine, if it has the memory.
-    pub fn settle(&mut self, engine: &dyn FieldBackend) -> Result<(), RasterError> {
-        self.on_device = engine.settle_refining(self)?;
+impl FieldRefinement {
+    /// Uploads the features to the device of an engine, if it has the memory.
+    pub fn upload(&mut self, engine: &dyn FieldBackend) -> Result<(), RasterError> {
+        self.on_device = engine.upload_refinement(self)?;
         Ok(())
     }
 }

@@ -3,7 +3,8 @@
 use crate::field::Queries;
 use crate::{Engine, FieldBackend, TrainingBackend};
 use segwild_raster::{
-    Channels, Frame, FrameGrad, Kept, ProjectOptions, Projected, RasterError, Rasterizer, SplatGrads,
+    Channels, Frame, FrameGrad, ProjectOptions, Projected, RasterError, Rasterizer, ResidentChannels,
+    SplatGrads,
 };
 use segwild_scene::{Camera, Image, Pose, Splats};
 use std::any::Any;
@@ -75,15 +76,22 @@ impl<F: Fn(&str) + Send + Sync> Rasterizer for FallbackEngine<F> {
         )
     }
 
-    fn bring(&self, channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
-        self.either(|| self.first.bring(channels), || self.second.bring(channels))
+    fn upload_channels(
+        &self,
+        channels: &Channels,
+    ) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
+        self.either(|| self.first.upload_channels(channels), || self.second.upload_channels(channels))
     }
 }
 
 impl<F: Fn(&str) + Send + Sync> TrainingBackend for FallbackEngine<F> {}
 
 impl<F: Fn(&str) + Send + Sync> FieldBackend for FallbackEngine<F> {
-    fn similarity(&self, features: &Kept, queries: &Queries) -> Result<Option<Vec<f32>>, RasterError> {
+    fn similarity(
+        &self,
+        features: &ResidentChannels,
+        queries: &Queries,
+    ) -> Result<Option<Vec<f32>>, RasterError> {
         self.either(|| self.first.similarity(features, queries), || self.second.similarity(features, queries))
     }
 }
@@ -130,9 +138,9 @@ impl<F: Fn(&str) + Send + Sync> Projected for FallbackView<'_, F> {
         self.engine.either(|| self.first.blend(channels), || self.second()?.blend(channels))
     }
 
-    fn blend_kept(&self, kept: &Kept) -> Result<Frame, RasterError> {
+    fn blend_resident(&self, channels: &ResidentChannels) -> Result<Frame, RasterError> {
         // The second engine cannot use the first engine's copy: it takes the host's.
-        self.engine.either(|| self.first.blend_kept(kept), || self.second()?.blend_kept(kept))
+        self.engine.either(|| self.first.blend_resident(channels), || self.second()?.blend_resident(channels))
     }
 
     fn gather(&self, image: &Image) -> Result<Vec<f32>, RasterError> {

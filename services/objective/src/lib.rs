@@ -39,10 +39,12 @@ pub mod transients;
 pub use adam::{Adam, Rule};
 pub use appearance::{
     AffineAppearance, AnyAppearance, Appearance, AppearanceEmbedding, AppearanceMaps, Directions,
-    EmbedAppearance, EmbedLight, GswAppearance, GswWidth, HIDDEN_LAYER, HeldNetworks, ImageConditioning,
-    NoAppearance, RANK, UNetInput, VisibleSplats, bake, gsw,
+    EmbedAppearance, EmbedLight, GswAppearance, GswWidth, HIDDEN_LAYER, ImageConditioning, NoAppearance,
+    RANK, TrainingNetworks, UNetInput, VisibleSplats, bake, gsw,
 };
 pub use engine::{Engine, FieldBackend, TrainingBackend};
 pub use fallback::FallbackEngine;
 pub use losses::{photometric, psnr, ssim};
-pub use training::{Held, NetworksStep, OptimiserRules, Reshaped, Resident, SplatEmbeddings, TrainingStep};
+pub use training::{
+    DeviceTraining, NetworksStep, OptimiserRules, Reshaped, SplatEmbeddings, TrainingSplats, TrainingStep,
+};

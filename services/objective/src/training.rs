@@ -1,14 +1,14 @@
 //! Splats that stay on the device of an engine while they are trained.
 
 use crate::Rule;
-use crate::appearance::{EmbedLight, HeldNetworks, UNetInput};
+use crate::appearance::{EmbedLight, TrainingNetworks, UNetInput};
 use crate::compare::{LossInputs, LossOutput, PhotoTarget};
 use segwild_raster::{ProjectOptions, RasterError};
 use segwild_scene::Splats;
 
 /// Splats with the state of their optimiser and of density control: uploaded to a device, and downloaded from it.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Held {
+pub struct TrainingSplats {
     /// The splats.
     pub splats: Splats,
     /// First moments of every parameter, laid out as the splats.
@@ -22,7 +22,7 @@ pub struct Held {
     /// without either.
     pub splat_embeddings: SplatEmbeddings,
     /// The networks of [`crate::GswAppearance`].
-    pub networks: Option<HeldNetworks>,
+    pub networks: Option<TrainingNetworks>,
 }
 
 /// Per-splat appearance embeddings, `[splat][embedding_size]` of their appearance model; the last
@@ -111,8 +111,8 @@ pub struct TrainingStep<'a> {
 }
 
 /// Splats in training on a device: a whole step, from projection to the optimiser (method, sections 1 to 3), runs
-/// there, and only the loss output is downloaded. The host gets the splats by [`Resident::fetch`].
-pub trait Resident: Send {
+/// there, and only the loss output is downloaded. The host gets the splats by [`DeviceTraining::download`].
+pub trait DeviceTraining: Send {
     /// One step. Returns the loss output of the splats before it, and the gradient of the photo's parameters.
     ///
     /// # Panics
@@ -122,8 +122,8 @@ pub trait Resident: Send {
     /// How many splats there are.
     fn count(&self) -> usize;
 
-    /// The splats without colours, as [`Splats::uncoloured`] gives them, and [`Held::sums`]: the inputs of density
-    /// control.
+    /// The splats without colours, as [`Splats::uncoloured`] gives them, and [`TrainingSplats::sums`]: the inputs of
+    /// density control.
     fn shapes(&mut self) -> Result<(Splats, Vec<[f32; 4]>), RasterError>;
 
     /// Applies density control; the sums restart at 0. `false` if the device lacks the memory: then nothing has
@@ -131,5 +131,5 @@ pub trait Resident: Send {
     fn reshape(&mut self, reshaped: &Reshaped) -> Result<bool, RasterError>;
 
     /// The splats as they are now.
-    fn fetch(&mut self) -> Result<Held, RasterError>;
+    fn download(&mut self) -> Result<TrainingSplats, RasterError>;
 }

@@ -132,44 +132,50 @@ pub trait Rasterizer: Send + Sync {
 
     /// Uploads splats once, for many views of them. Returns a rasteriser of the same device, which projects these splats
     /// without another upload; `None` where this one computes on the host, or where they do not fit.
-    fn hold<'a>(&'a self, _splats: &'a Splats) -> Result<Option<Box<dyn Rasterizer + 'a>>, RasterError> {
+    fn upload_splats<'a>(
+        &'a self,
+        _splats: &'a Splats,
+    ) -> Result<Option<Box<dyn Rasterizer + 'a>>, RasterError> {
         Ok(None)
     }
 
-    /// Uploads channels, for [`Kept::bring`]. Returns a handle, opaque to others, that keeps them on the device until
-    /// it is dropped; `None` where this rasteriser computes on the host, or where they would take too much memory.
-    fn bring(&self, _channels: &Channels) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
+    /// Uploads channels, for [`ResidentChannels::upload`]. Returns a handle, opaque to others, that keeps them on the
+    /// device until it is dropped; `None` where this rasteriser computes on the host, or where they would take too much memory.
+    fn upload_channels(
+        &self,
+        _channels: &Channels,
+    ) -> Result<Option<Box<dyn Any + Send + Sync>>, RasterError> {
         Ok(None)
     }
 }
 
-/// Channels that stay on the device of an engine, to be blended in view after view by
-/// [`Projected::blend_kept`]. The numbers on the host cannot change meanwhile, so the
-/// device's copy cannot be out of date. An engine without a copy of its own uses the host's numbers.
-pub struct Kept<'a> {
+/// Channels that stay on the device of an engine once they are uploaded, to be blended in view after view by
+/// [`Projected::blend_resident`]. The numbers on the host cannot change meanwhile, so the device's copy cannot be out of
+/// date. An engine without a copy of its own uses the host's numbers.
+pub struct ResidentChannels<'a> {
     count: usize,
     values: Cow<'a, [f32]>,
     on_device: Option<Box<dyn Any + Send + Sync>>,
 }
 
-impl<'a> Kept<'a> {
+impl<'a> ResidentChannels<'a> {
     /// `count` numbers per splat, as in [`Channels`], not uploaded yet.
-    pub fn new(count: usize, values: impl Into<Cow<'a, [f32]>>) -> Kept<'a> {
-        Kept { count, values: values.into(), on_device: None }
+    pub fn new(count: usize, values: impl Into<Cow<'a, [f32]>>) -> ResidentChannels<'a> {
+        ResidentChannels { count, values: values.into(), on_device: None }
     }
 
     /// Uploads them to the device of an engine, if it has one.
-    pub fn bring(&mut self, engine: &dyn Rasterizer) -> Result<(), RasterError> {
-        self.on_device = engine.bring(&self.channels())?;
+    pub fn upload(&mut self, engine: &dyn Rasterizer) -> Result<(), RasterError> {
+        self.on_device = engine.upload_channels(&self.on_host())?;
         Ok(())
     }
 
-    /// The channels.
-    pub fn channels(&self) -> Channels<'_> {
+    /// The numbers on the host.
+    pub fn on_host(&self) -> Channels<'_> {
         Channels { count: self.count, values: &self.values }
     }
 
-    /// Handle that [`Rasterizer::bring`] returned.
+    /// Handle that [`Rasterizer::upload_channels`] returned.
     pub fn on_device(&self) -> Option<&(dyn Any + Send + Sync)> {
         self.on_device.as_deref()
     }
@@ -195,8 +201,8 @@ pub trait Projected: Send + Sync {
     fn blend(&self, channels: &Channels) -> Result<Frame, RasterError>;
 
     /// The same with channels that may be on the device.
-    fn blend_kept(&self, kept: &Kept) -> Result<Frame, RasterError> {
-        self.blend(&kept.channels())
+    fn blend_resident(&self, channels: &ResidentChannels) -> Result<Frame, RasterError> {
+        self.blend(&channels.on_host())
     }
 
     /// The transpose of [`Projected::blend`]: `sum over pixels of alpha T image[c]`, as `[splat][channel]`.

@@ -40,6 +40,7 @@ pub use cpu::{
     ALPHA_MAX, ALPHA_MIN, CpuEngine, FrontLayer, Isa, LOG2_ALPHA_MIN, NO_SPLAT, SLACK, T_MIN, jacobian_limits,
 };
 pub use engine::{
-    Channels, Frame, FrameGrad, Kept, ProjectOptions, Projected, RasterError, Rasterizer, SplatGrads, check,
+    Channels, Frame, FrameGrad, ProjectOptions, Projected, RasterError, Rasterizer, ResidentChannels,
+    SplatGrads, check,
 };
 pub use shade::{shade, shade_backward};

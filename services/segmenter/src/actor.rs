@@ -132,9 +132,9 @@ impl SegmentActor {
         let read =
             |(view, _): &(usize, Prompts)| (self.photos)(*view).map_err(|e| provider(*view, e.to_string()));
         let photos: Vec<Image> = task.prompts.iter().map(read).collect::<Result<_, _>>()?;
-        let held = self.engine.hold(&self.splats).map_err(SegmentError::raster("the scene"))?;
+        let resident = self.engine.upload_splats(&self.splats).map_err(SegmentError::raster("the scene"))?;
         let blank = Request {
-            rasterizer: held.as_deref().unwrap_or(&*self.engine),
+            rasterizer: resident.as_deref().unwrap_or(&*self.engine),
             backend: &*self.engine,
             options: self.options,
             splats: &self.splats,

@@ -5,7 +5,7 @@ use glam::Vec2;
 use rayon::prelude::*;
 use segwild_objective::FieldBackend;
 use segwild_objective::field::{Queries, dot, score};
-use segwild_raster::{Kept, ProjectOptions, Rasterizer};
+use segwild_raster::{ProjectOptions, Rasterizer, ResidentChannels};
 use segwild_scene::{Camera, Image, Pose, Splats};
 
 /// Rows that one task scores: fixed, so that nothing depends on the number of threads.
@@ -13,7 +13,7 @@ const ROWS: usize = 2048;
 
 /// One feature vector per splat, ready for similarity queries.
 pub struct SplatFeatures {
-    features: Kept<'static>,
+    features: ResidentChannels<'static>,
     inverse_norms: Vec<f32>,
 }
 
@@ -30,17 +30,17 @@ impl SplatFeatures {
             .par_chunks(channels * ROWS)
             .flat_map_iter(|rows| rows.chunks_exact(channels).map(|row| inverse_norm(dot(row, row))))
             .collect();
-        Ok(SplatFeatures { features: Kept::new(channels, values), inverse_norms })
+        Ok(SplatFeatures { features: ResidentChannels::new(channels, values), inverse_norms })
     }
 
     /// Uploads the values to an engine that keeps them on its device: similarities are then computed there.
-    pub fn bring(&mut self, engine: &dyn Rasterizer) -> Result<(), SegmentError> {
-        self.features.bring(engine).map_err(SegmentError::raster("the features"))
+    pub fn upload(&mut self, engine: &dyn Rasterizer) -> Result<(), SegmentError> {
+        self.features.upload(engine).map_err(SegmentError::raster("the features"))
     }
 
     /// Numbers per splat.
     pub fn channels(&self) -> usize {
-        self.features.channels().count
+        self.features.on_host().count
     }
 
     /// Number of splats.
@@ -55,7 +55,7 @@ impl SplatFeatures {
 
     /// The values, `[splat][channel]`, flat.
     pub fn values(&self) -> &[f32] {
-        self.features.channels().values
+        self.features.on_host().values
     }
 
     /// One splat's vector.
@@ -88,7 +88,7 @@ impl SplatFeatures {
 
     /// Fused similarity of every splat to some clicks: `sum_i softmax_i(s_i / temperature) s_i`, `s_i` the cosine to click
     /// `i` (paper, Eq. 27). It lies between the mean and the largest. Reads the field once, on the device if it was uploaded
-    /// ([`SplatFeatures::bring`]).
+    /// ([`SplatFeatures::upload`]).
     ///
     /// `clicks` are feature vectors of [`SplatFeatures::channels`] numbers; those without a direction are refused.
     pub fn similarity(

@@ -1,7 +1,7 @@
 //! Test cases of the feature field, for the device and the host.
 
 use segwild_objective::field::{
-    AreaAverage, FeatureTarget, FieldRule, LearnedDecoder, Membership, Refining, SampledPixels,
+    AreaAverage, FeatureTarget, FieldRefinement, FieldWeights, LearnedDecoder, Membership, SampledPixels,
 };
 use segwild_scene::{Image, Mask, MaskSet, Random, ScoredMask};
 
@@ -83,12 +83,12 @@ impl FeatureCase {
     }
 
     /// Features to be refined.
-    pub fn refining(&self, values: Vec<f32>, rule: FieldRule) -> Refining {
+    pub fn refinement(&self, values: Vec<f32>, weights: FieldWeights) -> FieldRefinement {
         let random = &mut Random::new(8);
         let decoder = self.decoded.map(|outputs| {
             let mut many = |n: usize| (0..n).map(|_| random.uniform() - 0.5).collect::<Vec<_>>();
-            LearnedDecoder::new(&many(self.channels * outputs), &many(outputs), rule.rate)
+            LearnedDecoder::new(&many(self.channels * outputs), &many(outputs), weights.rate)
         });
-        Refining::new(self.channels, values, decoder, rule)
+        FieldRefinement::new(self.channels, values, decoder, weights)
     }
 }

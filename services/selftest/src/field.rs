@@ -8,11 +8,11 @@ use crate::tolerance::Tolerance;
 use segwild_gpu::GpuEngine;
 use segwild_gpu::probe::{FieldGradients, RowSteps};
 use segwild_objective::FieldBackend;
-use segwild_objective::field::{FieldRule, Lifting, Queries, RowAdam, dot, score};
-use segwild_raster::{Channels, Kept, Projected, RasterError};
+use segwild_objective::field::{FieldWeights, Lifting, Queries, RowAdam, dot, score};
+use segwild_raster::{Channels, Projected, RasterError, ResidentChannels};
 use segwild_scene::{Image, Random};
 
-const RULE: FieldRule = FieldRule { embedding: 0.7, compact: 0.3, rate: 0.01 };
+const WEIGHTS: FieldWeights = FieldWeights { embedding: 0.7, compact: 0.3, rate: 0.01 };
 
 /// Compares the optimiser of rows and sums over views, then the embedding and compactness losses: with few channels and
 /// with more than are blended at once, on grids that are finer and coarser than the view, with and without a decoder.
@@ -24,9 +24,9 @@ pub fn field(engine: &GpuEngine, view: &dyn Projected) -> Result<Vec<KernelCheck
         FeatureCase { size: SIZE, channels: 3, decoded: None, grid: [130, 68], pixels: 1100, masks: 9 },
         FeatureCase { size: SIZE, channels: 20, decoded: Some(30), grid: [40, 31], pixels: 0, masks: 0 },
     ] {
-        let off = compared(&case, engine, FieldRule { compact: 0.0, ..RULE }, false)?.err();
+        let off = compared(&case, engine, FieldWeights { compact: 0.0, ..WEIGHTS }, false)?.err();
         checked.push(KernelCheck { kernels: &["area_average", "embedding_loss", "area_spread"], off });
-        let off = compared(&case, engine, FieldRule { embedding: 0.0, ..RULE }, true)?.err();
+        let off = compared(&case, engine, FieldWeights { embedding: 0.0, ..WEIGHTS }, true)?.err();
         checked.push(KernelCheck {
             kernels: &[
                 "sampled_features",
@@ -55,8 +55,8 @@ fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), Mismatch>
     let values: Vec<f32> = (0..ROW * SPLATS).map(|_| random.uniform() - 0.5).collect();
     let mut wanted = values.clone();
     let channels = Channels { count: ROW, values: &values };
-    let mut on_device = RowSteps::upload(engine, &channels, RULE.rate)?;
-    let mut adam = RowAdam::new(SPLATS, ROW, RULE.rate);
+    let mut on_device = RowSteps::upload(engine, &channels, WEIGHTS.rate)?;
+    let mut adam = RowAdam::new(SPLATS, ROW, WEIGHTS.rate);
     for step in 0..4 {
         let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
         let mut grad = Image::zeros(width, height, ROW);
@@ -72,7 +72,7 @@ fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), Mismatch>
         on_device.step(&grads)?;
     }
     let (mut sums, mut right) = (Lifting::new(SPLATS, ROW), Lifting::new(SPLATS, ROW));
-    sums.settle(engine)?;
+    sums.allocate_on_device(engine)?;
     for step in 0..3 {
         let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
         let mut image = Image::zeros(width, height, ROW + 1);
@@ -86,7 +86,7 @@ fn rows(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), Mismatch>
     }
     let ((sums, weights), (right_sums, right_weights)) = (sums.finish()?, right.finish()?);
     Ok(Tolerance::PROJECTED
-        .compare("rows", &on_device.fetch()?, &wanted)
+        .compare("rows", &on_device.download()?, &wanted)
         .and_then(|()| Tolerance::PROJECTED.compare("sums over views", &sums, &right_sums))
         .and_then(|()| Tolerance::PROJECTED.compare("weights", &weights, &right_weights)))
 }
@@ -114,11 +114,11 @@ fn resemblance(
     let norms: Vec<f32> = norms.iter().map(|&n| if n.is_finite() { n } else { 0.0 }).collect();
     let mut wanted = vec![0.0; SPLATS];
     score(&queries, &values, &norms, &mut wanted);
-    let mut kept = Kept::new(channels, values);
-    kept.bring(engine)?;
-    let got = engine.similarity(&kept, &queries)?;
+    let mut resident = ResidentChannels::new(channels, values);
+    resident.upload(engine)?;
+    let got = engine.similarity(&resident, &queries)?;
     Ok(got
-        .ok_or(Mismatch::NotKept)
+        .ok_or(Mismatch::NotResident)
         .and_then(|got| Tolerance::PROJECTED.compare("similarity of rows to the queries", &got, &wanted)))
 }
 
@@ -126,11 +126,11 @@ fn resemblance(
 fn compared(
     case: &FeatureCase,
     engine: &GpuEngine,
-    rule: FieldRule,
+    weights: FieldWeights,
     pairs: bool,
 ) -> Result<Result<(), Mismatch>, RasterError> {
     let random = &mut Random::new(7);
-    let mut right = case.refining(vec![0.0; case.channels], rule);
+    let mut right = case.refinement(vec![0.0; case.channels], weights);
     let mut on_device = FieldGradients::upload(engine, &right)?;
     let mut same = Ok(());
     for step in 0..3 {
@@ -155,7 +155,7 @@ fn compared(
             .and_then(|()| alike(Tolerance::GRADIENTS, "the image's gradients", &got.data, &wanted.data))
             .and_then(|()| alike(Tolerance::PROJECTED, "losses", &[found.embedding, found.compact], &losses));
     }
-    let (got, wanted) = (on_device.fetch()?.decoder, right.finish()?.decoder);
+    let (got, wanted) = (on_device.download()?.decoder, right.finish()?.decoder);
     let (got, wanted) = (got.unwrap_or_default(), wanted.unwrap_or_default());
     Ok(same.and_then(|()| alike(Tolerance::GRADIENTS, "the decoder", &got, &wanted)))
 }
@@ -176,8 +176,8 @@ fn steps(engine: &GpuEngine, view: &dyn Projected) -> Result<Result<(), Mismatch
         FeatureCase { size: SIZE, channels: 20, decoded: Some(30), grid: [24, 17], pixels: 200, masks: 12 };
     let random = &mut Random::new(9);
     let values: Vec<f32> = (0..case.channels * SPLATS).map(|_| random.uniform() - 0.5).collect();
-    let (mut here, mut there) = (case.refining(values.clone(), RULE), case.refining(values, RULE));
-    there.settle(engine)?;
+    let (mut here, mut there) = (case.refinement(values.clone(), WEIGHTS), case.refinement(values, WEIGHTS));
+    there.upload(engine)?;
     for _ in 0..3 {
         let made = case.make(random);
         here.step(view, &made.feature_target(), &made.sampled_pixels())?;

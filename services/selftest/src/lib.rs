@@ -40,5 +40,5 @@ pub use networks::some_appearance;
 pub use stages::{STAGES, Stage, check, check_comparison, check_field, check_networks, check_splats};
 pub use sums::check_sums;
 pub use tolerance::Tolerance;
-pub use training::{held, held_with_embeddings, training as check_training};
+pub use training::{training as check_training, training_splats, training_splats_with_embeddings};
 pub use view::{check_view, gradients, projected};

@@ -57,7 +57,7 @@ pub enum Mismatch {
     List(#[from] ListMismatch),
     /// Rows that were uploaded are not there.
     #[error("nothing was kept")]
-    NotKept,
+    NotResident,
     /// An upload has changed the splats.
     #[error("shapes and sums: they changed on the device")]
     Changed,

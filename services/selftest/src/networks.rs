@@ -109,7 +109,7 @@ fn small(engine: &GpuEngine) -> Result<Vec<KernelCheck>, GpuError> {
 fn photo(engine: &GpuEngine, appearance: &GswAppearance) -> Result<Vec<KernelCheck>, GpuError> {
     let unet = &Networks::of(GswWidth::Cpu).unet;
     let unet_input = appearance.unet_input(0, draw_of(appearance, true)).expect("there is light");
-    let mut weights = appearance.held().weights;
+    let mut weights = appearance.training_networks().weights;
     // Norms start with factors that change nothing.
     let random = &mut Random::new(36);
     let changes = noise(random, weights.len());
@@ -232,7 +232,7 @@ fn lighting(
     let unet_input = draw.and_then(|draw| appearance.unet_input(0, draw));
     let step = NetworksStep { unet_input, draw: draw.unwrap_or(0), decides: false, rules };
     let uploaded: Vec<f32> = part_residuals.iter().map(|residual| residual.unwrap_or(-1.0)).collect();
-    let networks = UploadedNetworks::upload(engine, &appearance.held())?;
+    let networks = UploadedNetworks::upload(engine, &appearance.training_networks())?;
     let known = (splats.means.as_slice(), radii);
     let passes = LightingPasses::upload(
         engine,

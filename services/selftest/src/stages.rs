@@ -6,7 +6,7 @@ use crate::frame::{OPTIONS, SIZE, scene};
 use crate::kernel_check::KernelCheck;
 use crate::networks::networks;
 use crate::sums::check_sums;
-use crate::training::{held, held_with_embeddings, training};
+use crate::training::{training, training_splats, training_splats_with_embeddings};
 use crate::view::check_view;
 use segwild_gpu::GpuEngine;
 use segwild_raster::{RasterError, Rasterizer};
@@ -37,8 +37,8 @@ pub fn check_splats(engine: &GpuEngine) -> Result<Vec<KernelCheck>, RasterError>
     let random = &mut Random::new(6);
     splats.sh_degree = 3;
     splats.sh = (0..splats.len() * splats.sh_stride()).map(|_| 0.5 * random.uniform() - 0.25).collect();
-    let mut checked = training(engine, &held(splats.clone()), &camera, &pose, &OPTIONS)?;
-    checked.extend(training(engine, &held_with_embeddings(splats), &camera, &pose, &OPTIONS)?);
+    let mut checked = training(engine, &training_splats(splats.clone()), &camera, &pose, &OPTIONS)?;
+    checked.extend(training(engine, &training_splats_with_embeddings(splats), &camera, &pose, &OPTIONS)?);
     Ok(checked)
 }
 

@@ -7,14 +7,14 @@ use crate::tolerance::Tolerance;
 use segwild_gpu::GpuEngine;
 use segwild_gpu::probe::{TrainedStep, training_step};
 use segwild_objective::{
-    Adam, Appearance, EmbedAppearance, EmbedLight, Held, OptimiserRules, Reshaped, Rule, SplatEmbeddings,
-    TrainingBackend,
+    Adam, Appearance, EmbedAppearance, EmbedLight, OptimiserRules, Reshaped, Rule, SplatEmbeddings,
+    TrainingBackend, TrainingSplats,
 };
 use segwild_raster::{Channels, CpuEngine, Frame, FrameGrad, ProjectOptions, RasterError, Rasterizer};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 
 /// A training state with moments as in the middle of a training.
-pub fn held(splats: Splats) -> Held {
+pub fn training_splats(splats: Splats) -> TrainingSplats {
     let random = &mut Random::new(21);
     let mut like = |from: f32, to: f32| {
         let mut within = || from + (to - from) * random.uniform();
@@ -29,24 +29,31 @@ pub fn held(splats: Splats) -> Held {
     };
     let (first, second) = (like(-0.5, 0.5), like(0.1, 1.0));
     let sums = splats.means.iter().map(|_| [0; 4].map(|_| random.uniform())).collect();
-    Held { splats, first, second, sums, splat_embeddings: SplatEmbeddings::default(), networks: None }
+    TrainingSplats {
+        splats,
+        first,
+        second,
+        sums,
+        splat_embeddings: SplatEmbeddings::default(),
+        networks: None,
+    }
 }
 
 /// The same with appearance embeddings.
-pub fn held_with_embeddings(splats: Splats) -> Held {
+pub fn training_splats_with_embeddings(splats: Splats) -> TrainingSplats {
     let random = &mut Random::new(23);
     let numbers = splats.len() * EmbedAppearance::EMBEDDING_SIZE;
     let mut like =
         |from: f32, to: f32| (0..numbers).map(|_| from + (to - from) * random.uniform()).collect::<Vec<_>>();
     let splat_embeddings =
         SplatEmbeddings { values: like(-0.1, 0.1), first: like(-0.5, 0.5), second: like(0.1, 1.0) };
-    Held { splat_embeddings, ..held(splats) }
+    TrainingSplats { splat_embeddings, ..training_splats(splats) }
 }
 
 /// Compares one step of training on the device, of splats in sight of a camera, with the host's.
 pub fn training(
     engine: &GpuEngine,
-    held: &Held,
+    state: &TrainingSplats,
     camera: &Camera,
     pose: &Pose,
     options: &ProjectOptions,
@@ -73,23 +80,23 @@ pub fn training(
     // With another light than the initial one.
     let mut appearance = EmbedAppearance::new(1, 24);
     appearance.set_matrix(0, [0.9, 0.1, -0.05, 0.02, 0.05, 1.1, 0.1, -0.03, -0.1, 0.05, 0.8, 0.04]);
-    let light = (!held.splat_embeddings.values.is_empty()).then(|| appearance.photo(0));
+    let light = (!state.splat_embeddings.values.is_empty()).then(|| appearance.photo(0));
     let (frame, wanted, by_light) =
-        on_the_host(held, camera, pose, options, &grad, &error, &rules, &appearance)?;
-    let TrainedStep { rendered, light: lit, held: got } =
-        training_step(engine, held, (camera, pose, options), light.as_ref(), (&grad, &error), &rules)?;
+        on_the_host(state, camera, pose, options, &grad, &error, &rules, &appearance)?;
+    let TrainedStep { rendered, light: lit, state: got } =
+        training_step(engine, state, (camera, pose, options), light.as_ref(), (&grad, &error), &rules)?;
     let wide = interleaved(&frame);
     let blended = Tolerance::BLENDED.compare("colours and alpha", &rendered, &wide);
     let sums = Tolerance::GRADIENTS.compare("sums", got.sums.as_flattened(), wanted.sums.as_flattened());
     type SplatArray = fn(&Splats) -> &[f32];
     let compare = |name: &str, of: SplatArray| {
-        let moved = |held: &Held, before: &Held| -> Vec<f32> {
-            of(&held.splats).iter().zip(of(&before.splats)).map(|(a, b)| a - b).collect()
+        let moved = |state: &TrainingSplats, before: &TrainingSplats| -> Vec<f32> {
+            of(&state.splats).iter().zip(of(&before.splats)).map(|(a, b)| a - b).collect()
         };
         let tolerance = Tolerance::GRADIENTS;
         tolerance.compare(&format!("first moments of the {name}"), of(&got.first), of(&wanted.first))?;
         tolerance.compare(&format!("second moments of the {name}"), of(&got.second), of(&wanted.second))?;
-        tolerance.compare(&format!("steps of the {name}"), &moved(&got, held), &moved(&wanted, held))
+        tolerance.compare(&format!("steps of the {name}"), &moved(&got, state), &moved(&wanted, state))
     };
     // These do not depend on colours.
     let shapes: [(&str, SplatArray); 3] = [
@@ -102,7 +109,8 @@ pub fn training(
     let all = |of: &[(&str, SplatArray)]| of.iter().try_for_each(|&(name, of)| compare(name, of));
     let tinted = || {
         let (Some(lit), Some(light)) = (lit, by_light) else { return Ok(()) };
-        let (got, wanted, before) = (&got.splat_embeddings, &wanted.splat_embeddings, &held.splat_embeddings);
+        let (got, wanted, before) =
+            (&got.splat_embeddings, &wanted.splat_embeddings, &state.splat_embeddings);
         let moved = |after: &SplatEmbeddings| -> Vec<f32> {
             after.values.iter().zip(&before.values).map(|(a, b)| a - b).collect()
         };
@@ -113,7 +121,7 @@ pub fn training(
         tolerance.compare("steps of the embeddings", &moved(got), &moved(wanted))
     };
     let (shapes, coloured) = (all(&shapes), all(&coloured));
-    let reshaped = reshaped(engine, held)?;
+    let reshaped = reshaped(engine, state)?;
     let off = |kernels, off: Result<(), Mismatch>| KernelCheck { kernels, off: off.err() };
     Ok(if light.is_some() {
         // The splats without embeddings have checked the other kernels.
@@ -135,12 +143,12 @@ pub fn training(
 }
 
 /// Compares splats after a possible density control: some removed, some duplicated, some with moments reset.
-fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), Mismatch>, RasterError> {
+fn reshaped(engine: &GpuEngine, state: &TrainingSplats) -> Result<Result<(), Mismatch>, RasterError> {
     let random = &mut Random::new(25);
-    let n = held.splats.len();
+    let n = state.splats.len();
     let parents: Vec<usize> = (0..n).filter(|i| i % 5 != 2).chain((0..n).step_by(3)).collect();
     let forgotten: Vec<bool> = parents.iter().map(|_| random.below(3) == 0).collect();
-    let mut shapes = held.splats.uncoloured().select(&parents);
+    let mut shapes = state.splats.uncoloured().select(&parents);
     shapes.means.iter_mut().for_each(|mean| mean[1] += 0.5);
     let of = |splats: &Splats, forget: bool| {
         let mut splats = splats.select(&parents);
@@ -160,20 +168,20 @@ fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), Mismatch>, Ras
         };
         parents.iter().enumerate().flat_map(embedding).collect()
     };
-    let coloured = of(&held.splats, false);
-    let wanted = Held {
+    let coloured = of(&state.splats, false);
+    let wanted = TrainingSplats {
         splats: Splats { sh: coloured.sh, sh_degree: coloured.sh_degree, ..shapes.clone() },
-        first: moments(&held.first),
-        second: moments(&held.second),
+        first: moments(&state.first),
+        second: moments(&state.second),
         sums: vec![[0.0; 4]; parents.len()],
         splat_embeddings: SplatEmbeddings {
-            values: splat_embeddings(&held.splat_embeddings.values, false),
-            first: splat_embeddings(&held.splat_embeddings.first, true),
-            second: splat_embeddings(&held.splat_embeddings.second, true),
+            values: splat_embeddings(&state.splat_embeddings.values, false),
+            first: splat_embeddings(&state.splat_embeddings.first, true),
+            second: splat_embeddings(&state.splat_embeddings.second, true),
         },
-        networks: held.networks.clone(),
+        networks: state.networks.clone(),
     };
-    let Some(mut on_device) = engine.settle(&mut || held.clone())? else {
+    let Some(mut on_device) = engine.upload_training(&mut || state.clone())? else {
         return Err(RasterError::Shape("the splats do not fit where they are trained".into()));
     };
     let shapes_before = on_device.shapes()?;
@@ -181,8 +189,8 @@ fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), Mismatch>, Ras
     if !on_device.reshape(&Reshaped { shapes, parents, forgotten, opacities_forgotten: true })? {
         return Err(RasterError::Shape("the splats do not fit where they are trained".into()));
     }
-    let got = on_device.fetch()?;
-    Ok(if shapes_before != (held.splats.uncoloured(), held.sums.clone()) {
+    let got = on_device.download()?;
+    Ok(if shapes_before != (state.splats.uncoloured(), state.sums.clone()) {
         Err(Mismatch::Changed)
     } else if got != wanted {
         Err(Mismatch::Reshaped { splats: n })
@@ -194,7 +202,7 @@ fn reshaped(engine: &GpuEngine, held: &Held) -> Result<Result<(), Mismatch>, Ras
 /// A step by the CPU engine: the render, the state afterwards, and the gradient of the photo's parameters.
 #[expect(clippy::too_many_arguments, reason = "a whole step of training")]
 fn on_the_host(
-    held: &Held,
+    state: &TrainingSplats,
     camera: &Camera,
     pose: &Pose,
     options: &ProjectOptions,
@@ -202,13 +210,13 @@ fn on_the_host(
     error: &Image,
     rules: &OptimiserRules,
     appearance: &EmbedAppearance,
-) -> Result<(Frame, Held, Option<EmbedLight>), RasterError> {
+) -> Result<(Frame, TrainingSplats, Option<EmbedLight>), RasterError> {
     let cpu = CpuEngine::new();
-    let splats = &held.splats;
+    let splats = &state.splats;
     let projected = cpu.project(splats, camera, pose, options)?;
     let colours = projected.shade();
     let mut appearance = appearance.clone();
-    let splat_embeddings = &held.splat_embeddings.values;
+    let splat_embeddings = &state.splat_embeddings.values;
     let lit = !splat_embeddings.is_empty();
     let tinted = if lit { appearance.tint(0, splat_embeddings, colours.clone()) } else { colours.clone() };
     let channels = Channels { count: 3, values: &tinted };
@@ -220,7 +228,7 @@ fn on_the_host(
         (by_colour, by_embedding) = appearance.tint_backward(0, splat_embeddings, &colours, by_colour);
     }
     let sh_grads = projected.shade_backward(&by_colour, &mut grads);
-    let mut after = held.clone();
+    let mut after = state.clone();
     let (width, long) = (camera.width as f32, camera.width.max(camera.height) as f32);
     for (i, sums) in after.sums.iter_mut().enumerate() {
         let (radius, [x, y]) = (projected.radii()[i], projected.centres()[i]);
@@ -231,7 +239,7 @@ fn on_the_host(
             *sums = [sums[0] + grads.screen_abs[i], sums[1] + here, sums[2] + 1.0, share];
         }
     }
-    let Held { splats: s, first, second, .. } = &mut after;
+    let TrainingSplats { splats: s, first, second, .. } = &mut after;
     let step = |p: &mut [f32], m: &mut [f32], v: &mut [f32], g: &[f32], rule: Rule| {
         let mut adam = Adam::new(p.len(), 1);
         adam.set_moments(m.to_vec(), v.to_vec());
@@ -267,7 +275,7 @@ fn on_the_host(
     if lit {
         let SplatEmbeddings { values, first, second } = &mut after.splat_embeddings;
         let size = EmbedAppearance::EMBEDDING_SIZE;
-        for i in (0..held.splats.len()).filter(|&i| projected.radii()[i] > 0.0) {
+        for i in (0..state.splats.len()).filter(|&i| projected.radii()[i] > 0.0) {
             let at = i * size..(i + 1) * size;
             let (p, m) = (&mut values[at.clone()], &mut first[at.clone()]);
             step(p, m, &mut second[at.clone()], &by_embedding[at.clone()], rules.splat_embeddings);

@@ -4,9 +4,9 @@ mod common;
 
 use common::{engine, image, rules, splats, step, view};
 use segwild_gpu::{AdapterChoice, GpuEngine};
-use segwild_objective::{EmbedAppearance, Engine, FallbackEngine, Held, TrainingBackend};
+use segwild_objective::{EmbedAppearance, Engine, FallbackEngine, TrainingBackend, TrainingSplats};
 use segwild_raster::{Channels, CpuEngine, FrameGrad, ProjectOptions, RasterError, SplatGrads};
-use segwild_selftest::held_with_embeddings;
+use segwild_selftest::training_splats_with_embeddings;
 use std::sync::{Arc, Mutex};
 
 /// The tests' adapter, whose driver does not compile one kernel.
@@ -45,7 +45,7 @@ fn a_kernel_that_does_not_compile_is_an_error_that_names_the_device() {
 fn a_training_whose_kernel_does_not_compile_ends_in_words() {
     let Some(gpu) = engine("a_training_whose_kernel_does_not_compile_ends_in_words") else { return };
     let view = view(48, 32);
-    let settled = held_with_embeddings(splats(7, 100, (0.02, 0.2)));
+    let state = training_splats_with_embeddings(splats(7, 100, (0.02, 0.2)));
     let rules = rules(0.01);
     let light = EmbedAppearance::new(1, 3).photo(0);
     let compared = [
@@ -63,10 +63,10 @@ fn a_training_whose_kernel_does_not_compile_ends_in_words() {
         ["shade", "tint", "tint_backward", "shade_backward", "observe", "adam"].into_iter().chain(compared)
     {
         let broken = without(kernel, &gpu.adapter().name);
-        let learn = || -> Result<Held, RasterError> {
-            let mut on_device = broken.settle(&mut || settled.clone())?.expect("it fits");
+        let learn = || -> Result<TrainingSplats, RasterError> {
+            let mut on_device = broken.upload_training(&mut || state.clone())?.expect("it fits");
             step(&mut *on_device, &view, Some(&light), &rules, 1, 0.1)?;
-            on_device.fetch()
+            on_device.download()
         };
         let error = learn().expect_err("one kernel is none");
         let text = error.to_string();

@@ -15,8 +15,8 @@ use segwild_raster::{
 };
 use segwild_scene::{Camera, Pose, Random, Splats};
 use segwild_selftest::{
-    STAGES, Tolerance, check, check_training, compared, gradients, held, held_with_embeddings, projected,
-    test_cases,
+    STAGES, Tolerance, check, check_training, compared, gradients, projected, test_cases, training_splats,
+    training_splats_with_embeddings,
 };
 
 const BLENDED: Tolerance = Tolerance::BLENDED;
@@ -283,8 +283,8 @@ fn steps_of_training_agree_for_every_degree_of_colour() {
         // Some out of sight.
         scene.means.iter_mut().step_by(7).for_each(|mean| mean[0] += 9.0);
         let options = ProjectOptions { antialias: degree % 2 == 0, ..ProjectOptions::default() };
-        for held in [held(scene.clone()), held_with_embeddings(scene)] {
-            for step in check_training(gpu, &held, &camera, &pose, &options).expect("it trains") {
+        for state in [training_splats(scene.clone()), training_splats_with_embeddings(scene)] {
+            for step in check_training(gpu, &state, &camera, &pose, &options).expect("it trains") {
                 assert!(step.off.is_none(), "{count} splats of degree {degree}: {step:?}");
             }
         }
@@ -315,10 +315,12 @@ fn a_step_without_memory_for_its_pairs_is_repeated_and_learns_the_same() {
     let learn = |scenes: &[&Splats], key| {
         let mut after = None;
         for &scene in scenes {
-            let mut on_device =
-                gpu.settle(&mut || held(scene.clone())).expect("it settles").expect("it fits");
+            let mut on_device = gpu
+                .upload_training(&mut || training_splats(scene.clone()))
+                .expect("it is uploaded")
+                .expect("it fits");
             let results = step(&mut *on_device, &view, None, &rules, key, 0.1).expect("it learns");
-            after = Some((on_device.fetch().expect("it comes back"), results));
+            after = Some((on_device.download().expect("it comes back"), results));
         }
         after.expect("there was a step")
     };
@@ -335,18 +337,19 @@ fn the_memory_that_a_training_takes_is_known_before_and_a_budget_is_kept() {
     let rules = rules(1e-4);
     let scene = splats(35, 6000, (0.01, 0.04));
     let learn = |engine: &GpuEngine| -> Result<(), RasterError> {
-        let mut on_device =
-            engine.settle(&mut || held(scene.clone()))?.ok_or(RasterError::Shape("refused".into()))?;
+        let mut on_device = engine
+            .upload_training(&mut || training_splats(scene.clone()))?
+            .ok_or(RasterError::Shape("refused".into()))?;
         for (key, size) in [(1, (320, 240)), (2, (160, 120)), (3, (300, 250)), (1, (320, 240))] {
             step(&mut *on_device, &view(size.0, size.1), None, &rules, key, 0.1)?;
-            let (held, budget) = (engine.held(), engine.budget());
-            assert!(budget == 0 || held <= budget, "{held} of {budget} bytes");
+            let (taken, budget) = (engine.allocated_bytes(), engine.budget());
+            assert!(budget == 0 || taken <= budget, "{taken} of {budget} bytes");
         }
         Ok(())
     };
     let free = open();
     learn(&free).expect("it learns");
-    let (taken, estimate) = (free.held(), training_bytes(6000, 320 * 240, 0, 0, None));
+    let (taken, estimate) = (free.allocated_bytes(), training_bytes(6000, 320 * 240, 0, 0, None));
     println!("{taken} bytes taken, {estimate} estimated");
     assert!(taken <= estimate + LEAST_PHOTOS && estimate < 3 * taken, "{taken} taken, {estimate} estimated");
     // With less than was taken free buffers give way; with next to nothing it is refused in words.
@@ -363,15 +366,15 @@ fn the_memory_that_a_training_takes_is_known_before_and_a_budget_is_kept() {
 fn gradients_that_are_no_numbers_leave_splats_that_are() {
     let Some(gpu) = engine("gradients_that_are_no_numbers_leave_splats_that_are") else { return };
     let view = view(40, 30);
-    let held = held(splats(32, 60, (0.05, 0.3)));
-    let mut on_device = gpu.settle(&mut || held.clone()).expect("it settles").expect("it fits");
+    let state = training_splats(splats(32, 60, (0.05, 0.3)));
+    let mut on_device = gpu.upload_training(&mut || state.clone()).expect("it is uploaded").expect("it fits");
     let rule = segwild_objective::Rule { beta1: 0.9, beta2: 0.999, rate: 0.1, epsilon: 0.0 };
     let rules = segwild_objective::OptimiserRules::all(rule);
     // The sky's share of the gradient, in the pixels that have some.
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 0.1] {
         step(&mut *on_device, &view, None, &rules, 3, bad).expect("it learns");
     }
-    let after = on_device.fetch().expect("it comes back");
+    let after = on_device.download().expect("it comes back");
     for splats in [&after.splats, &after.first, &after.second] {
         let numbers = [
             splats.means.as_flattened(),
@@ -382,7 +385,7 @@ fn gradients_that_are_no_numbers_leave_splats_that_are() {
         ];
         assert!(numbers.iter().all(|of| of.iter().all(|v| v.is_finite())), "{splats:?}");
     }
-    assert!(after.splats != held.splats, "nothing was learnt");
+    assert!(after.splats != state.splats, "nothing was learnt");
 }
 
 #[test]
@@ -410,8 +413,8 @@ fn a_fault_in_any_kernel_is_seen() {
 }
 
 #[test]
-fn splats_that_are_held_render_as_they_are_and_others_as_others() {
-    let test = "splats_that_are_held_are_drawn_as_they_are_and_others_as_others";
+fn uploaded_splats_render_as_they_are_and_others_as_others() {
+    let test = "uploaded_splats_render_as_they_are_and_others_as_others";
     let Some(gpu) = engine(test) else { return };
     let (mine, other) = (splats(61, 300, (0.02, 0.2)), splats(62, 300, (0.02, 0.2)));
     let draw = |engine: &dyn Rasterizer, splats: &Splats, size: (u32, u32)| {
@@ -421,10 +424,10 @@ fn splats_that_are_held_render_as_they_are_and_others_as_others() {
         let colours = projected.shade();
         projected.blend(&Channels { count: 3, values: &colours }).expect("it blends")
     };
-    let held = gpu.hold(&mine).expect("it is brought there").expect("it fits");
+    let resident = gpu.upload_splats(&mine).expect("it is uploaded").expect("it fits");
     for size in [(64, 48), (50, 70)] {
-        assert!(draw(&*held, &mine, size) == draw(gpu, &mine, size));
-        assert!(draw(&*held, &other, size) == draw(gpu, &other, size));
-        assert!(draw(&*held, &mine, size) != draw(&*held, &other, size));
+        assert!(draw(&*resident, &mine, size) == draw(gpu, &mine, size));
+        assert!(draw(&*resident, &other, size) == draw(gpu, &other, size));
+        assert!(draw(&*resident, &mine, size) != draw(&*resident, &other, size));
     }
 }

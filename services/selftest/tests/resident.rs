@@ -1,19 +1,20 @@
-//! Data that stays on the device from view to view: splats, and kept channels.
+//! Data that stays on the device from view to view: splats, and channels.
 
 mod common;
 
 use common::{engine, image, many, rules, splats, step_with, view};
 use segwild_gpu::{AdapterChoice, GpuEngine, training_bytes};
 use segwild_objective::field::{
-    AreaAverage, FeatureTarget, FieldRule, LearnedDecoder, Lifting, Membership, Refining, SampledPixels,
+    AreaAverage, FeatureTarget, FieldRefinement, FieldWeights, LearnedDecoder, Lifting, Membership,
+    SampledPixels,
 };
 use segwild_objective::{
-    Appearance, FallbackEngine, FieldBackend, GswAppearance, GswWidth, Held, NetworksStep, SplatEmbeddings,
-    TrainingBackend,
+    Appearance, FallbackEngine, FieldBackend, GswAppearance, GswWidth, NetworksStep, SplatEmbeddings,
+    TrainingBackend, TrainingSplats,
 };
-use segwild_raster::{Channels, CpuEngine, Frame, Kept, ProjectOptions, Rasterizer};
+use segwild_raster::{Channels, CpuEngine, Frame, ProjectOptions, Rasterizer, ResidentChannels};
 use segwild_scene::{Image, Mask, MaskSet, Random, ScoredMask, Splats};
-use segwild_selftest::{Tolerance, held, some_appearance};
+use segwild_selftest::{Tolerance, some_appearance, training_splats};
 
 const SPLATS: usize = 5000;
 
@@ -26,11 +27,11 @@ fn scene() -> Splats {
 }
 
 /// The frames of some views.
-fn draw(engine: &dyn Rasterizer, splats: &Splats, kept: &Kept) -> Vec<Frame> {
+fn draw(engine: &dyn Rasterizer, splats: &Splats, channels: &ResidentChannels) -> Vec<Frame> {
     let frame = |(width, height)| {
         let (camera, pose) = view(width, height);
         let projected = engine.project(splats, &camera, &pose, &ProjectOptions::default());
-        projected.and_then(|projected| projected.blend_kept(kept)).expect("it is blended")
+        projected.and_then(|projected| projected.blend_resident(channels)).expect("it is blended")
     };
     [(64, 48), (50, 70), (33, 20)].map(frame).to_vec()
 }
@@ -45,27 +46,28 @@ fn engine_alone(test: &str) -> Option<GpuEngine> {
 }
 
 #[test]
-fn channels_that_are_kept_cross_once_for_all_views() {
-    let alone = engine_alone("channels_that_are_kept_cross_once_for_all_views");
+fn resident_channels_are_uploaded_once_for_all_views() {
+    let alone = engine_alone("resident_channels_are_uploaded_once_for_all_views");
     let Some(gpu) = &alone else { return };
     let scene = scene();
-    let held = gpu.hold(&scene).expect("it is brought there").expect("it fits");
+    let resident = gpu.upload_splats(&scene).expect("it is uploaded").expect("it fits");
     // One vec4 at once; four, of which some stay empty; several times four.
     for count in [1, 3, 20, 64] {
         let values = values(count);
-        let (once, mut kept) = (Kept::new(count, &values), Kept::new(count, &values));
+        let (once, mut channels) =
+            (ResidentChannels::new(count, &values), ResidentChannels::new(count, &values));
         let before = gpu.uploaded_bytes();
-        kept.bring(&*held).expect("it is brought there");
+        channels.upload(&*resident).expect("it is uploaded");
         let crossed = gpu.uploaded_bytes() - before;
         let least = (4 * values.len()) as u64;
-        assert!(crossed >= least && crossed <= 4 * least, "{count} channels: {crossed} bytes to keep them");
+        assert!(crossed >= least && crossed <= 4 * least, "{count} channels: {crossed} bytes to upload them");
         let before = gpu.uploaded_bytes();
-        let frames = draw(&*held, &scene, &kept);
+        let frames = draw(&*resident, &scene, &channels);
         let crossed = gpu.uploaded_bytes() - before;
         // Cameras.
         assert!(crossed < 1000, "{count} channels: {crossed} bytes for views of what is there");
         let before = gpu.uploaded_bytes();
-        assert!(frames == draw(&*held, &scene, &once), "{count} channels");
+        assert!(frames == draw(&*resident, &scene, &once), "{count} channels");
         let crossed = gpu.uploaded_bytes() - before;
         assert!(crossed >= 3 * least, "{count} channels: {crossed} bytes where each view uploads all");
     }
@@ -76,15 +78,15 @@ fn alpha_alone_needs_no_channels() {
     let alone = engine_alone("alpha_alone_needs_no_channels");
     let Some(gpu) = &alone else { return };
     let scene = scene();
-    let held = gpu.hold(&scene).expect("it is brought there").expect("it fits");
+    let resident = gpu.upload_splats(&scene).expect("it is uploaded").expect("it fits");
     let before = gpu.uploaded_bytes();
-    let nothing = draw(&*held, &scene, &Kept::new(0, &[][..]));
+    let nothing = draw(&*resident, &scene, &ResidentChannels::new(0, &[][..]));
     let crossed = gpu.uploaded_bytes() - before;
     assert!(crossed < 1000, "{crossed} bytes");
     let cpu = CpuEngine::new();
-    for engine in [&*held, &cpu as &dyn Rasterizer] {
-        let zeros = draw(engine, &scene, &Kept::new(1, vec![0.0; SPLATS]));
-        let nothing = draw(engine, &scene, &Kept::new(0, &[][..]));
+    for engine in [&*resident, &cpu as &dyn Rasterizer] {
+        let zeros = draw(engine, &scene, &ResidentChannels::new(1, vec![0.0; SPLATS]));
+        let nothing = draw(engine, &scene, &ResidentChannels::new(0, &[][..]));
         assert!(zeros.iter().zip(&nothing).all(|(a, b)| a.alpha == b.alpha), "{}", engine.name());
     }
     assert!(nothing[0].alpha.data.iter().any(|&a| a > 0.5) && nothing[0].image.data.is_empty());
@@ -94,41 +96,50 @@ fn alpha_alone_needs_no_channels() {
 fn channels_of_another_engine_are_blended_from_the_hosts() {
     let Some(gpu) = engine("channels_of_another_engine_are_blended_from_the_hosts") else { return };
     let (scene, other, values) = (scene(), reopened(gpu), values(3));
-    let mut kept = Kept::new(3, &values);
-    kept.bring(&other).expect("it is brought there");
-    let wanted = draw(gpu, &scene, &Kept::new(3, &values));
-    assert!(draw(gpu, &scene, &kept) == wanted && draw(&other, &scene, &kept) == wanted);
+    let mut channels = ResidentChannels::new(3, &values);
+    channels.upload(&other).expect("it is uploaded");
+    let wanted = draw(gpu, &scene, &ResidentChannels::new(3, &values));
+    assert!(draw(gpu, &scene, &channels) == wanted && draw(&other, &scene, &channels) == wanted);
     let cpu = CpuEngine::new();
-    assert!(draw(&cpu, &scene, &kept) == draw(&cpu, &scene, &Kept::new(3, &values)));
+    assert!(draw(&cpu, &scene, &channels) == draw(&cpu, &scene, &ResidentChannels::new(3, &values)));
     // A fallback engine keeps them on the first engine's device.
     let unused =
         FallbackEngine::new(Box::new(other), Box::new(CpuEngine::new()), |why: &str| panic!("{why}"));
-    kept.bring(&unused).expect("it is brought there");
-    assert!(kept.on_device().is_some() && draw(&unused, &scene, &kept) == wanted);
+    channels.upload(&unused).expect("it is uploaded");
+    assert!(channels.on_device().is_some() && draw(&unused, &scene, &channels) == wanted);
 }
 
 #[test]
-fn channels_that_would_take_too_much_memory_are_not_kept_and_still_blended() {
-    let test = "channels_that_would_take_too_much_room_are_not_kept_and_drawn_all_the_same";
+fn channels_that_would_take_too_much_memory_are_not_uploaded_and_still_blended() {
+    let test = "channels_that_would_take_too_much_memory_are_not_uploaded_and_still_blended";
     let Some(gpu) = engine(test) else { return };
     let (scene, values) = (scene(), values(64));
     let tight = reopened(gpu);
     // Enough for a view, and less than four times the channels.
     tight.keep_within((3 * 4 * values.len()) as u64);
-    let mut kept = Kept::new(64, &values);
-    kept.bring(&tight).expect("it is no failure");
-    assert!(kept.on_device().is_none());
-    assert!(draw(&tight, &scene, &kept) == draw(gpu, &scene, &kept));
-    assert!(tight.held() <= tight.budget(), "{} of {} bytes", tight.held(), tight.budget());
+    let mut channels = ResidentChannels::new(64, &values);
+    channels.upload(&tight).expect("it is no failure");
+    assert!(channels.on_device().is_none());
+    assert!(draw(&tight, &scene, &channels) == draw(gpu, &scene, &channels));
+    assert!(
+        tight.allocated_bytes() <= tight.budget(),
+        "{} of {} bytes",
+        tight.allocated_bytes(),
+        tight.budget()
+    );
     tight.keep_within(0);
-    kept.bring(&tight).expect("it is brought there");
-    assert!(kept.on_device().is_some());
+    channels.upload(&tight).expect("it is uploaded");
+    assert!(channels.on_device().is_some());
     // Dropped channels free their memory.
-    let taken = tight.held();
-    drop(kept);
+    let taken = tight.allocated_bytes();
+    drop(channels);
     let channels = Channels { count: 64, values: &values };
-    let again = tight.bring(&channels).expect("it is brought there");
-    assert!(again.is_some() && tight.held() == taken, "{} bytes, not {taken}", tight.held());
+    let again = tight.upload_channels(&channels).expect("it is uploaded");
+    assert!(
+        again.is_some() && tight.allocated_bytes() == taken,
+        "{} bytes, not {taken}",
+        tight.allocated_bytes()
+    );
 }
 
 /// A feature target for a view of this size, and the masks of its pixels.
@@ -145,20 +156,20 @@ fn feature_target(seed: u64, width: u32, height: u32, planes: usize) -> (Image, 
 }
 
 #[test]
-fn a_step_of_the_feature_field_brings_the_pixels_that_it_draws_and_nothing_of_splats_and_photos() {
-    let test = "a_step_of_the_feature_field_brings_the_pixels_that_it_draws_and_nothing_of_splats_and_photos";
+fn a_step_of_the_feature_field_uploads_the_sampled_pixels_and_nothing_of_splats_and_photos() {
+    let test = "a_step_of_the_feature_field_uploads_the_sampled_pixels_and_nothing_of_splats_and_photos";
     let alone = engine_alone(test);
     let Some(gpu) = &alone else { return };
     let scene = scene();
-    let held = gpu.hold(&scene).expect("it is brought there").expect("it fits");
+    let resident = gpu.upload_splats(&scene).expect("it is uploaded").expect("it fits");
     let (count, decoded) = (24, 40);
-    let rule = FieldRule { embedding: 0.7, compact: 0.3, rate: 0.01 };
-    let refine = |field: &mut Refining, learned: bool| {
+    let weights = FieldWeights { embedding: 0.7, compact: 0.3, rate: 0.01 };
+    let refine = |field: &mut FieldRefinement, learned: bool| {
         let mut crossed = 0;
         for (step, (width, height)) in [(64, 48), (50, 70), (33, 20)].into_iter().enumerate() {
             let (camera, pose) = view(width, height);
             let projected =
-                held.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("it is seen");
+                resident.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("it is seen");
             let planes = if learned { decoded } else { count };
             let (target, average, membership) = feature_target(83 + step as u64, width, height, planes);
             let validity = vec![0.8; target.pixels()];
@@ -169,7 +180,7 @@ fn a_step_of_the_feature_field_brings_the_pixels_that_it_draws_and_nothing_of_sp
                 average: &average,
                 on_device: None,
             };
-            let on_device = gpu.upload_target(&feature_target).expect("it is brought there");
+            let on_device = gpu.upload_target(&feature_target).expect("it is uploaded");
             feature_target.on_device = on_device.as_deref();
             let pixels: Vec<u32> = (0..width * height).step_by(3).collect();
             let sampled = SampledPixels { pixels: &pixels, membership: &membership };
@@ -184,9 +195,9 @@ fn a_step_of_the_feature_field_brings_the_pixels_that_it_draws_and_nothing_of_sp
             let numbers = many(&mut Random::new(85), (count + 1) * decoded, -0.2, 0.2);
             LearnedDecoder::new(&numbers[..count * decoded], &numbers[count * decoded..], 0.01)
         });
-        let mut here = Refining::new(count, values(count), decoder.clone(), rule);
-        let mut there = Refining::new(count, values(count), decoder, rule);
-        there.settle(gpu).expect("it is brought there");
+        let mut here = FieldRefinement::new(count, values(count), decoder.clone(), weights);
+        let mut there = FieldRefinement::new(count, values(count), decoder, weights);
+        there.upload(gpu).expect("it is uploaded");
         assert!(there.is_on_device());
         let ((_, wanted), (crossed, losses)) = (refine(&mut here, learned), refine(&mut there, learned));
         // Positions and masks of the pixels, and the tables of the networks that compare them.
@@ -207,12 +218,12 @@ fn sums_over_views_stay_where_they_are() {
     let alone = engine_alone("sums_over_views_stay_where_they_are");
     let Some(gpu) = &alone else { return };
     let (scene, count) = (scene(), 24);
-    let held = gpu.hold(&scene).expect("it is brought there").expect("it fits");
+    let resident = gpu.upload_splats(&scene).expect("it is uploaded").expect("it fits");
     let mut sums = Lifting::new(SPLATS, count);
-    sums.settle(gpu).expect("there is room");
+    sums.allocate_on_device(gpu).expect("there is memory");
     let before = gpu.uploaded_bytes();
     let (camera, pose) = view(64, 48);
-    let projected = held.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("it is seen");
+    let projected = resident.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("it is seen");
     sums.add(&*projected, &image(90, 64, 48, count + 1)).expect("it is added");
     // Eight numbers at once, filled up.
     let (crossed, images) = (gpu.uploaded_bytes() - before, 4 * (count + 8) * 64 * 48);
@@ -223,10 +234,10 @@ fn sums_over_views_stay_where_they_are() {
 
 #[test]
 fn a_field_that_leaves_too_little_memory_for_its_steps_is_refined_on_the_host() {
-    let test = "a_field_that_leaves_too_little_room_for_its_steps_is_refined_on_the_host";
+    let test = "a_field_that_leaves_too_little_memory_for_its_steps_is_refined_on_the_host";
     let Some(gpu) = engine(test) else { return };
     let (scene, count) = (scene(), 24);
-    let rule = FieldRule { embedding: 1.0, compact: 0.0, rate: 0.01 };
+    let weights = FieldWeights { embedding: 1.0, compact: 0.0, rate: 0.01 };
     let (target, average, membership) = feature_target(95, 64, 48, count);
     let validity = vec![1.0; target.pixels()];
     let feature_target = FeatureTarget {
@@ -237,32 +248,32 @@ fn a_field_that_leaves_too_little_memory_for_its_steps_is_refined_on_the_host() 
         on_device: None,
     };
     let sampled = SampledPixels { pixels: &[], membership: &membership };
-    // Budgets from one where nothing settles to one where all does: no step runs out of memory.
-    let mut settled = Vec::new();
+    // Budgets from one where nothing is uploaded to one where all does: no step runs out of memory.
+    let mut uploaded = Vec::new();
     for megabytes in [3, 4, 5, 6, 8, 24] {
         let small = reopened(gpu);
         small.keep_within(megabytes << 20);
-        let mut field = Refining::new(count, values(count), None, rule);
+        let mut field = FieldRefinement::new(count, values(count), None, weights);
         let mut sums = Lifting::new(SPLATS, count);
-        field.settle(&small).expect("want of room is no failure");
+        field.upload(&small).expect("want of memory is no failure");
         let (camera, pose) = view(64, 48);
         let projected = small.project(&scene, &camera, &pose, &ProjectOptions::default());
         let projected = projected.unwrap_or_else(|error| panic!("{megabytes} MiB: {error}"));
         field
             .step(&*projected, &feature_target, &sampled)
             .unwrap_or_else(|error| panic!("{megabytes} MiB: {error}"));
-        settled.push(field.is_on_device());
+        uploaded.push(field.is_on_device());
         drop(field);
-        sums.settle(&small).expect("want of room is no failure");
+        sums.allocate_on_device(&small).expect("want of memory is no failure");
         sums.add(&*projected, &image(96, 64, 48, count + 1))
             .unwrap_or_else(|error| panic!("{megabytes} MiB: {error}"));
     }
-    assert!(!settled[0] && settled[5] && settled.is_sorted(), "{settled:?}");
+    assert!(!uploaded[0] && uploaded[5] && uploaded.is_sorted(), "{uploaded:?}");
 }
 
 #[test]
-fn a_step_of_networks_brings_its_photo_and_nothing_of_the_splats() {
-    let alone = engine_alone("a_step_of_networks_brings_its_photo_and_nothing_of_the_splats");
+fn a_step_of_networks_uploads_its_photo_and_nothing_of_the_splats() {
+    let alone = engine_alone("a_step_of_networks_uploads_its_photo_and_nothing_of_the_splats");
     let Some(gpu) = &alone else { return };
     let gpu = reopened(gpu);
     let view = view(96, 64);
@@ -273,8 +284,12 @@ fn a_step_of_networks_brings_its_photo_and_nothing_of_the_splats() {
         first: vec![0.0; SPLATS * GswAppearance::EMBEDDING_SIZE],
         second: vec![0.0; SPLATS * GswAppearance::EMBEDDING_SIZE],
     };
-    let held = Held { splat_embeddings, networks: Some(appearance.held()), ..held(splats) };
-    let mut on_device = gpu.settle(&mut || held.clone()).expect("it is brought there").expect("it fits");
+    let state = TrainingSplats {
+        splat_embeddings,
+        networks: Some(appearance.training_networks()),
+        ..training_splats(splats)
+    };
+    let mut on_device = gpu.upload_training(&mut || state.clone()).expect("it is uploaded").expect("it fits");
     let light = appearance.below.photo(0);
     let rule = rules(0.001);
     let mut learn = |key: u64| {
@@ -297,11 +312,13 @@ fn a_step_of_networks_brings_its_photo_and_nothing_of_the_splats() {
     let (crossed, photo) = learn(91);
     println!("{crossed} bytes, {photo} of them the photo for its network");
     assert!(crossed >= photo && crossed < photo + (64 << 10), "{crossed} bytes, {photo} the photo's");
-    let (taken, estimate) =
-        (gpu.held(), training_bytes(SPLATS, 96 * 64, 1, GswAppearance::EMBEDDING_SIZE, Some(GswWidth::Cpu)));
+    let (taken, estimate) = (
+        gpu.allocated_bytes(),
+        training_bytes(SPLATS, 96 * 64, 1, GswAppearance::EMBEDDING_SIZE, Some(GswWidth::Cpu)),
+    );
     println!("{taken} bytes taken, {estimate} estimated");
     assert!(taken <= estimate && estimate <= 6 * taken, "{taken} bytes taken, {estimate} estimated");
-    let after = on_device.fetch().expect("they are downloaded");
+    let after = on_device.download().expect("they are downloaded");
     let moved = after.networks.expect("and so do the networks").weights;
-    assert!(moved != appearance.held().weights && moved.iter().all(|weight| weight.is_finite()));
+    assert!(moved != appearance.training_networks().weights && moved.iter().all(|weight| weight.is_finite()));
 }

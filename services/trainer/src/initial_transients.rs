@@ -141,8 +141,8 @@ pub(crate) fn initial_transients(
         let model = trainer.snapshot()?;
         let posed = trainer.views;
         *photos = trainer.photos;
-        let held_splats = engine.hold(&model.splats)?;
-        let renderer = held_splats.as_deref().unwrap_or(&**engine);
+        let resident = engine.upload_splats(&model.splats)?;
+        let renderer = resident.as_deref().unwrap_or(&**engine);
         let check = CrossCheck { engine: renderer, model: &model, scene, share: settings.robust_share };
         check.mark(&held, &posed, photos, &mut found)?;
     }

@@ -10,7 +10,9 @@ use crate::model::options;
 use crate::photometric::StepPhoto;
 use crate::trainer::Trainer;
 use segwild_objective::compare::LossOutput;
-use segwild_objective::{AnyAppearance, EmbedAppearance, Held, NetworksStep, Reshaped, TrainingStep};
+use segwild_objective::{
+    AnyAppearance, EmbedAppearance, NetworksStep, Reshaped, TrainingSplats, TrainingStep,
+};
 
 impl Trainer {
     /// Whether the splats are on the device.
@@ -27,11 +29,13 @@ impl Trainer {
         let Some(stats) = self.state.strategy.as_dyn().stats() else { return Ok(()) };
         let (params, appearance) = (&self.state.params, &self.state.appearance);
         let networks = || match appearance {
-            AnyAppearance::Gsw(appearance) => Some(appearance.held()),
+            AnyAppearance::Gsw(appearance) => Some(appearance.training_networks()),
             AnyAppearance::None(_) | AnyAppearance::Affine(_) | AnyAppearance::Embed(_) => None,
         };
-        self.resident =
-            self.engine.settle(&mut || Held { networks: networks(), ..params.held(stats.rows()) })?;
+        self.resident = self.engine.upload_training(&mut || TrainingSplats {
+            networks: networks(),
+            ..params.training_splats(stats.rows())
+        })?;
         self.may_upload = self.is_on_device();
         Ok(())
     }
@@ -71,16 +75,16 @@ impl Trainer {
     /// Downloads the splats to the host.
     pub(crate) fn download(&mut self) -> Result<(), TrainError> {
         let Some(resident) = &mut self.resident else { return Ok(()) };
-        let mut held = resident.fetch()?;
+        let mut trained = resident.download()?;
         if let (AnyAppearance::Gsw(appearance), Some(networks)) =
-            (&mut self.state.appearance, held.networks.take())
+            (&mut self.state.appearance, trained.networks.take())
         {
-            appearance.take_back(networks);
+            appearance.restore_networks(networks);
         }
         if let Some(stats) = self.state.strategy.as_dyn().stats() {
-            *stats = DensityStats::of_rows(&held.sums);
+            *stats = DensityStats::of_rows(&trained.sums);
         }
-        self.state.params.take_back(held);
+        self.state.params.restore(trained);
         self.resident = None;
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! The splats as parameters of the optimiser.
 
 use crate::density::Reshaping;
-use segwild_objective::{Adam, Held, OptimiserRules, Reshaped, SplatEmbeddings, VisibleSplats};
+use segwild_objective::{Adam, OptimiserRules, Reshaped, SplatEmbeddings, TrainingSplats, VisibleSplats};
 use segwild_raster::{Projected, SplatGrads};
 use segwild_scene::{Pose, Splats};
 use std::ops::Range;
@@ -149,7 +149,7 @@ impl Params {
     }
 
     /// All of it, to be trained on the device.
-    pub fn held(&self, sums: Vec<[f32; 4]>) -> Held {
+    pub fn training_splats(&self, sums: Vec<[f32; 4]>) -> TrainingSplats {
         let moments = |which: usize| {
             let of = |adam: &Adam| adam.moments()[which].to_vec();
             Splats {
@@ -163,7 +163,7 @@ impl Params {
         };
         let [first, second] = self.embedding_moments.moments().map(<[f32]>::to_vec);
         let splat_embeddings = SplatEmbeddings { values: self.splat_embeddings.clone(), first, second };
-        Held {
+        TrainingSplats {
             splats: self.splats.clone(),
             first: moments(0),
             second: moments(1),
@@ -173,9 +173,9 @@ impl Params {
         }
     }
 
-    /// Takes back what [`Params::held`] returned; density control may have changed the splats since.
-    pub fn take_back(&mut self, held: Held) {
-        let Held { splats, first, second, splat_embeddings, sums: _, networks: _ } = held;
+    /// Takes back what [`Params::training_splats`] returned; density control may have changed the splats since.
+    pub fn restore(&mut self, trained: TrainingSplats) {
+        let TrainingSplats { splats, first, second, splat_embeddings, sums: _, networks: _ } = trained;
         self.splat_embeddings = splat_embeddings.values;
         self.embedding_moments.set_moments(splat_embeddings.first, splat_embeddings.second);
         self.splats = splats;

@@ -140,8 +140,8 @@ impl Trainer {
         let mut multi_view_pruning = MultiViewPruning::new(n);
         let engine = self.engine.clone();
         let splats = &self.state.params.splats;
-        let held = engine.hold(splats)?;
-        let engine = held.as_deref().unwrap_or(&*engine);
+        let resident = engine.upload_splats(splats)?;
+        let engine = resident.as_deref().unwrap_or(&*engine);
         let level = self.schedule.level(self.state.step).max(1);
         for view in self.state.sampler.views() {
             if self.state.backgrounds[view].is_none() {
@@ -161,7 +161,7 @@ impl Trainer {
             let contradicted = transients::contradicted(&residual, photo.width, |i| photo.counts(i), share);
             multi_view_pruning.add_photo(&*projected, photo.width, &contradicted, |i| photo.counts(i))?;
         }
-        drop(held);
+        drop(resident);
         let kept = multi_view_pruning.supported();
         if kept.is_empty() || kept.len() == n {
             return Ok(0);
@@ -182,8 +182,8 @@ impl Trainer {
         let engine = self.engine.clone();
         let (photos, posed, antialias) = (&mut self.photos, &self.views, self.settings.antialias);
         let mut contribution = |splats: &Splats| {
-            let held = engine.hold(splats)?;
-            let engine = held.as_deref().unwrap_or(&*engine);
+            let resident = engine.upload_splats(splats)?;
+            let engine = resident.as_deref().unwrap_or(&*engine);
             let mut sum = vec![0.0f32; splats.len()];
             for &view in &views {
                 let Some(stored) = photos.usable(view)? else { continue };

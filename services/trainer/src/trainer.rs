@@ -14,7 +14,7 @@ use crate::state::TrainState;
 use crate::{TrainError, TrainSettings};
 use segwild_nn::Lpips;
 use segwild_objective::transients::ResidualHistograms;
-use segwild_objective::{Engine, Resident};
+use segwild_objective::{DeviceTraining, Engine};
 use segwild_scene::{Camera, Mask, Point, Random, Scene, Skipped};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -57,7 +57,7 @@ pub struct Trainer {
     /// Unlike that of any other trainer of the process: engines keep photos by it.
     pub(crate) id: u64,
     /// The splats while they are on the device; those of the state are then old.
-    pub(crate) resident: Option<Box<dyn Resident>>,
+    pub(crate) resident: Option<Box<dyn DeviceTraining>>,
     /// Whether they may be uploaded.
     pub(crate) may_upload: bool,
     /// The perceptual distance, if its weights were given.

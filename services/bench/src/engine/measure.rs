@@ -2,7 +2,7 @@
 
 use super::goal::{Goal, train};
 use super::record::{KERNEL, record};
-use super::speed::{CLICKS, FIELD_RULE, LOSSES, NETWORKS, SIMILARITY, reach, some_feature_case, speed};
+use super::speed::{CLICKS, FIELD_WEIGHTS, LOSSES, NETWORKS, SIMILARITY, reach, some_feature_case, speed};
 use super::timing::Reach;
 use crate::page::PageError;
 use crate::scale::kernels::filling;
@@ -161,7 +161,7 @@ fn on_the_cpu(
     let case = some_feature_case(camera, channels);
     let random = &mut Random::new(3);
     let (made, image) = (case.make(random), case.image(random));
-    let mut field = case.refining(vec![0.0; channels], FIELD_RULE);
+    let mut field = case.refinement(vec![0.0; channels], FIELD_WEIGHTS);
     let mut losses = || drop(field.compute_losses(&image, &made.feature_target(), &made.sampled_pixels()));
     let units = vec![vec![0.5; channels]; CLICKS];
     let queries = Queries { channels, units: &units, sharpness: 10.0 };

@@ -11,10 +11,10 @@ use segwild_gpu::probe::{
 };
 use segwild_gpu::{GpuEngine, GpuError};
 use segwild_objective::compare::{LeaveOut, LossInputs, PhotoTarget};
-use segwild_objective::field::{FieldRule, Queries};
+use segwild_objective::field::{FieldWeights, Queries};
 use segwild_objective::transients::Residuals;
 use segwild_objective::{
-    Appearance, GswWidth, Held, NetworksStep, OptimiserRules, Rule, TrainingBackend, TrainingStep,
+    Appearance, GswWidth, NetworksStep, OptimiserRules, Rule, TrainingBackend, TrainingSplats, TrainingStep,
 };
 use segwild_raster::{Channels, Frame, ProjectOptions, RasterError};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
@@ -116,7 +116,7 @@ fn networks(
     let (appearance, draw) = some_appearance(camera, pose);
     let rules = [Rule { beta1: 0.9, beta2: 0.999, rate: 0.0, epsilon: 1e-8 }; 2];
     let step = NetworksStep { unet_input: appearance.unet_input(0, draw), draw, decides: false, rules };
-    let networks = UploadedNetworks::upload(engine, &appearance.held())?;
+    let networks = UploadedNetworks::upload(engine, &appearance.training_networks())?;
     let (radii, colours) = (vec![1.0; n], vec![0.0; 3 * n]);
     let embeddings = appearance.first_embeddings(&splats.means);
     let splats = (splats.means.as_slice(), radii.as_slice());
@@ -148,14 +148,14 @@ pub fn some_feature_case(camera: &Camera, channels: usize) -> FeatureCase {
 }
 
 /// Weights of the losses.
-pub const FIELD_RULE: FieldRule = FieldRule { embedding: 0.7, compact: 0.3, rate: 0.0 };
+pub const FIELD_WEIGHTS: FieldWeights = FieldWeights { embedding: 0.7, compact: 0.3, rate: 0.0 };
 
 /// Times the losses of the feature field.
 fn losses(engine: &GpuEngine, reach: Reach, case: FeatureCase) -> Result<PassTime, GpuError> {
     let random = &mut Random::new(3);
     let (made, image) = (case.make(random), case.image(random));
     let channels = case.channels;
-    let field = case.refining(vec![0.0; channels], FIELD_RULE);
+    let field = case.refinement(vec![0.0; channels], FIELD_WEIGHTS);
     let pixels = (case.size.0 * case.size.1) as usize;
     let mut passes = FieldPasses::upload(engine, &field, &image, &made.feature_target())?;
     let sampled = made.sampled_pixels();
@@ -228,18 +228,18 @@ fn training(
         sh: vec![0.0; splats.sh.len()],
         sh_degree: splats.sh_degree,
     };
-    let held = Held {
+    let state = TrainingSplats {
         splats: splats.clone(),
         first: zero.clone(),
         second: zero,
         sums: vec![[0.0; 4]; n],
-        ..Held::default()
+        ..TrainingSplats::default()
     };
     // Nothing moves: what is timed stays the same.
     let rule = Rule { beta1: 0.9, beta2: 0.999, rate: 0.0, epsilon: 1e-15 };
     let rules = OptimiserRules::all(rule);
     let numbers = (n * (12 + splats.sh_stride())) as f64;
-    let spent = timed(engine, &mut AdamPasses::upload(engine, &held, &rules)?, AdamPasses::step)?;
+    let spent = timed(engine, &mut AdamPasses::upload(engine, &state, &rules)?, AdamPasses::step)?;
     let mut rows = vec![spent.row("adam", reach.floor_ms(numbers * 28.0, numbers * 12.0))];
     let (width, height) = (camera.width as usize, camera.height as usize);
     let target = some_photo(width, height);
@@ -263,7 +263,7 @@ fn training(
     // backward.
     let (bytes, operations) = (pixels * 4.0 * 104.0, pixels * 3.0 * 11.0 * 2.0 * 7.0 * 2.0);
     rows.push(spent.row("compare", reach.floor_ms(bytes, operations)));
-    let Some(mut on_device) = engine.settle(&mut || held.clone())? else {
+    let Some(mut on_device) = engine.upload_training(&mut || state.clone())? else {
         return Err(RasterError::Shape("the splats do not fit where they are trained".into()));
     };
     let step = TrainingStep {

@@ -2,7 +2,7 @@
 
 use crate::GpuError;
 use crate::device::{DeviceWork, GpuDevice, PooledBuffer};
-use crate::memory::keeps_channels;
+use crate::memory::channels_fit;
 use segwild_objective::field::{AreaAverage, FeatureTarget, Window};
 use std::sync::Arc;
 
@@ -46,14 +46,14 @@ impl GpuFeatureTarget {
     }
 
     /// The same for many steps; `None` where it would take more than its share of the device's memory.
-    pub fn keep(
+    pub fn upload_for_many_steps(
         device: &Arc<GpuDevice>,
         feature_target: &FeatureTarget,
     ) -> Result<Option<GpuFeatureTarget>, GpuError> {
         let mut work = device.work();
         let bytes = (4 * feature_target.target.data.len()) as u64;
         // Every photo's are kept, and together they have one share.
-        if !keeps_channels(device.held() + bytes, work.budget()) {
+        if !channels_fit(device.allocated_bytes() + bytes, work.budget()) {
             return Ok(None);
         }
         GpuFeatureTarget::upload(device, &mut work, feature_target).map(Some)

@@ -18,7 +18,8 @@ use crate::shaders::{AREA_AVERAGE, AREA_SPREAD, EMBEDDING_LOSS};
 use crate::view::GpuView;
 use pairs::Pairs;
 use segwild_objective::field::{
-    DeviceRefinement, FeatureTarget, FieldLosses, FieldRule, Refined, Refining, SampledPixels,
+    DeviceRefinement, FeatureTarget, FieldLosses, FieldRefinement, FieldWeights, RefinedFeatures,
+    SampledPixels,
 };
 use segwild_raster::{Channels, Projected, RasterError};
 use std::slice;
@@ -29,7 +30,7 @@ pub(crate) struct GpuField {
     pub device: Arc<GpuDevice>,
     pub rows: GpuRows,
     decoder: Option<GpuDecoder>,
-    rule: FieldRule,
+    weights: FieldWeights,
     /// Partial sums of the last step's losses.
     last: Mutex<Option<Last>>,
 }
@@ -51,23 +52,23 @@ struct Last {
 
 impl GpuField {
     /// Bytes that it takes, and a step's gradients beside it.
-    pub fn bytes(field: &Refining) -> u64 {
+    pub fn bytes(field: &FieldRefinement) -> u64 {
         let Channels { count, values } = field.channels();
         GpuRows::bytes(values.len() / count.max(1), count, at_once(count))
     }
 
     /// Uploads it.
-    pub fn upload(device: &Arc<GpuDevice>, field: &Refining) -> Result<GpuField, GpuError> {
+    pub fn upload(device: &Arc<GpuDevice>, field: &FieldRefinement) -> Result<GpuField, GpuError> {
         let channels = field.channels();
-        let rows = GpuRows::upload(device, &channels, field.rule().rate, at_once(channels.count))?;
+        let rows = GpuRows::upload(device, &channels, field.weights().rate, at_once(channels.count))?;
         let decoder = field.decoder().map(|decoder| {
             let (inputs, outputs) = decoder.size();
             let numbers = Channels { count: outputs, values: decoder.numbers() };
             let rows = GpuRows::upload(device, &numbers, decoder.rate(), outputs.div_ceil(4))?;
             Ok(GpuDecoder { rows, inputs, outputs })
         });
-        let (rule, decoder) = (field.rule(), decoder.transpose()?);
-        Ok(GpuField { device: device.clone(), rows, decoder, rule, last: Mutex::default() })
+        let (weights, decoder) = (field.weights(), decoder.transpose()?);
+        Ok(GpuField { device: device.clone(), rows, decoder, weights, last: Mutex::default() })
     }
 
     /// Starts a step.
@@ -206,7 +207,7 @@ impl FieldStep<'_> {
             decoder.rows.step(work, slice::from_ref(&grads), wide)?;
         }
         if let Some(pairs) = &self.pairs {
-            pairs.compare(work, field.rule.compact)?;
+            pairs.compute_losses(work, field.weights.compact)?;
         }
         *lock(&field.last) = Some(Last { parts: (parts, groups), share, pairs: None });
         Ok(())
@@ -221,8 +222,8 @@ impl FieldStep<'_> {
     ) -> Result<PooledBuffer, GpuError> {
         let [width, height] = self.feature_target.size;
         let image = work.take::<[f32; 4]>("the image's gradients", width * height * blocks)?;
-        let rule = self.field.rule;
-        let job = [first as u32, self.field.rows.count() as u32, rule.embedding.to_bits(), 0];
+        let weights = self.field.weights;
+        let job = [first as u32, self.field.rows.count() as u32, weights.embedding.to_bits(), 0];
         let groups = (width * height * blocks).div_ceil(GROUP);
         work.run(
             &AREA_SPREAD,
@@ -253,9 +254,9 @@ impl FieldStep<'_> {
 }
 
 impl DeviceRefinement for GpuField {
-    fn fetch(&self) -> Result<Refined, RasterError> {
-        let decoder = self.decoder.as_ref().map(|decoder| decoder.rows.fetch()).transpose()?;
-        Ok(Refined { values: self.rows.fetch()?, decoder })
+    fn download(&self) -> Result<RefinedFeatures, RasterError> {
+        let decoder = self.decoder.as_ref().map(|decoder| decoder.rows.download()).transpose()?;
+        Ok(RefinedFeatures { values: self.rows.download()?, decoder })
     }
 
     fn losses(&self) -> Result<FieldLosses, RasterError> {

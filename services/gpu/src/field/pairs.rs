@@ -73,8 +73,8 @@ impl Pairs {
         work.run(&SAMPLED_FEATURES, blocks as u32, job, &[&self.positions, image, &self.features], groups);
     }
 
-    /// Compares all pairs.
-    pub fn compare(&self, work: &mut DeviceWork, weight: f32) -> Result<(), GpuError> {
+    /// Computes the compactness loss over all pairs, and its gradients.
+    pub fn compute_losses(&self, work: &mut DeviceWork, weight: f32) -> Result<(), GpuError> {
         let (n, channels, words) = (self.pixels as u32, self.channels as u32, self.words as u32);
         let Pairs { groups, sets, features, tape, losses, .. } = self;
         let lengths = work.take::<f32>("the sampled pixels' lengths", self.pixels)?;

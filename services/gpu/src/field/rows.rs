@@ -90,7 +90,7 @@ impl GpuRows {
     }
 
     /// The values, `[row][number]`.
-    pub fn fetch(&self) -> Result<Vec<f32>, RasterError> {
+    pub fn download(&self) -> Result<Vec<f32>, RasterError> {
         let wide = 4 * self.wide;
         let mut out = vec![0.0; self.rows * self.count];
         for (part, first) in self.parts.iter().zip((0..self.count).step_by(wide)) {

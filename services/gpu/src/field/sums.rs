@@ -76,7 +76,7 @@ impl GpuSums {
 }
 
 impl DeviceLifting for GpuSums {
-    fn fetch(&self) -> Result<(Vec<f32>, Vec<f32>), RasterError> {
+    fn download(&self) -> Result<(Vec<f32>, Vec<f32>), RasterError> {
         let wide = gathered_at_once(self.count()) * 4;
         let (mut sums, mut weights) = (vec![0.0; self.rows * self.row], Vec::new());
         for (k, part) in self.parts.iter().enumerate() {

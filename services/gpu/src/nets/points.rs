@@ -15,7 +15,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use segwild_nn::Mlp;
 use segwild_objective::gsw::{DYNAMIC, HIDDEN_LAYER, INTRINSIC, LAYER, MAPS, Networks, OFF_MAP, VECTOR};
-use segwild_objective::{GswWidth, HeldNetworks, NetworksStep, UNetInput};
+use segwild_objective::{GswWidth, NetworksStep, TrainingNetworks, UNetInput};
 use segwild_scene::NEAR;
 
 /// Splats of a piece, at most.
@@ -30,19 +30,19 @@ pub(crate) struct GpuNetworks {
 }
 
 impl GpuNetworks {
-    pub fn upload(work: &mut DeviceWork, held: &HeldNetworks) -> Result<GpuNetworks, GpuError> {
+    pub fn upload(work: &mut DeviceWork, networks: &TrainingNetworks) -> Result<GpuNetworks, GpuError> {
         Ok(GpuNetworks {
-            width: held.width,
-            weights: work.upload("the networks' weights", &held.weights)?,
-            first: work.upload("the weights' first moments", &held.first)?,
-            second: work.upload("the weights' second moments", &held.second)?,
+            width: networks.width,
+            weights: work.upload("the networks' weights", &networks.weights)?,
+            first: work.upload("the weights' first moments", &networks.first)?,
+            second: work.upload("the weights' second moments", &networks.second)?,
         })
     }
 
-    pub fn read(&self, work: &mut DeviceWork) -> Result<HeldNetworks, GpuError> {
+    pub fn read(&self, work: &mut DeviceWork) -> Result<TrainingNetworks, GpuError> {
         let mut read = |of: &PooledBuffer| work.read(of, self.len());
         let [weights, first, second] = [read(&self.weights)?, read(&self.first)?, read(&self.second)?];
-        Ok(HeldNetworks { width: self.width, weights, first, second })
+        Ok(TrainingNetworks { width: self.width, weights, first, second })
     }
 
     pub fn nets(&self) -> &'static Networks {

@@ -7,7 +7,7 @@ use crate::field::{GpuFeatureTarget, GpuField, GpuRows};
 use crate::packing::{at_once, gathered_at_once, pack_image, pack_splats, parts_of, unpack_image};
 use crate::{GpuEngine, GpuError};
 use segwild_objective::field::{
-    DeviceRefinement, FeatureTarget, FieldLosses, Queries, Refined, Refining, SampledPixels,
+    DeviceRefinement, FeatureTarget, FieldLosses, FieldRefinement, Queries, RefinedFeatures, SampledPixels,
 };
 use segwild_raster::{Channels, RasterError};
 use segwild_scene::Image;
@@ -23,7 +23,7 @@ impl<'e> FieldGradients<'e> {
     ///
     /// # Errors
     /// When it does not fit.
-    pub fn upload(engine: &'e GpuEngine, field: &Refining) -> Result<FieldGradients<'e>, GpuError> {
+    pub fn upload(engine: &'e GpuEngine, field: &FieldRefinement) -> Result<FieldGradients<'e>, GpuError> {
         Ok(FieldGradients { engine, field: GpuField::upload(&engine.device, field)? })
     }
 
@@ -71,8 +71,8 @@ impl<'e> FieldGradients<'e> {
     ///
     /// # Errors
     /// When the device fails.
-    pub fn fetch(&self) -> Result<Refined, RasterError> {
-        self.field.fetch()
+    pub fn download(&self) -> Result<RefinedFeatures, RasterError> {
+        self.field.download()
     }
 }
 
@@ -92,7 +92,7 @@ impl<'e> FieldPasses<'e> {
     /// When they do not fit.
     pub fn upload(
         engine: &'e GpuEngine,
-        field: &Refining,
+        field: &FieldRefinement,
         image: &Image,
         feature_target: &FeatureTarget,
     ) -> Result<FieldPasses<'e>, GpuError> {
@@ -166,15 +166,15 @@ impl<'e> RowSteps<'e> {
     ///
     /// # Errors
     /// When the device fails.
-    pub fn fetch(&self) -> Result<Vec<f32>, RasterError> {
-        self.rows.fetch()
+    pub fn download(&self) -> Result<Vec<f32>, RasterError> {
+        self.rows.download()
     }
 }
 
 /// The comparison of every splat's features with those of clicks.
 pub struct SimilarityPasses<'e> {
     work: DeviceWork<'e>,
-    kept: GpuChannels,
+    channels: GpuChannels,
 }
 
 impl<'e> SimilarityPasses<'e> {
@@ -186,8 +186,8 @@ impl<'e> SimilarityPasses<'e> {
         engine: &'e GpuEngine,
         features: &Channels,
     ) -> Result<Option<SimilarityPasses<'e>>, GpuError> {
-        let kept = GpuChannels::upload(&engine.device, features)?;
-        Ok(kept.map(|kept| SimilarityPasses { work: engine.device.work(), kept }))
+        let channels = GpuChannels::upload(&engine.device, features)?;
+        Ok(channels.map(|channels| SimilarityPasses { work: engine.device.work(), channels }))
     }
 
     /// Compares them.
@@ -195,7 +195,7 @@ impl<'e> SimilarityPasses<'e> {
     /// # Errors
     /// When memory does not suffice.
     pub fn compare(&mut self, queries: &Queries) -> Result<(), GpuError> {
-        self.kept.resemblance(&mut self.work, queries).map(drop)
+        self.channels.resemblance(&mut self.work, queries).map(drop)
     }
 }
 

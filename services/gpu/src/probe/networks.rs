@@ -7,7 +7,7 @@ use crate::{GpuEngine, GpuError};
 use glam::Vec3;
 use segwild_nn::{Map, NetworkGraph};
 use segwild_objective::gsw::EMBEDDING_SIZE;
-use segwild_objective::{GswWidth, HeldNetworks, NetworksStep};
+use segwild_objective::{GswWidth, NetworksStep, TrainingNetworks};
 
 /// A network's maps and gradients after one run forward and backward.
 pub struct NetworkRun {
@@ -43,14 +43,14 @@ pub fn run_network(
     let grads = work.upload("gradients", &vec![0.0f32; weights.len()])?;
     let any = work.upload("splats in sight", &[0u32])?;
     let up = work.upload("inputs of the network", &numbers)?;
-    let mut held = Vec::new();
+    let mut uploaded = Vec::new();
     for (id, map) in output_grads {
-        held.push((*id, map.data.len(), work.upload("gradients", &map.data)?));
+        uploaded.push((*id, map.data.len(), work.upload("gradients", &map.data)?));
     }
     let tape = GpuTape::new(work, &plan)?;
     work.copy_to(&up, &tape.maps, 0, 4 * numbers.len());
     tape.forward(work, &plan, &values, &any, 0);
-    for (id, numbers, output_grad) in held {
+    for (id, numbers, output_grad) in uploaded {
         work.copy_to(&output_grad, &tape.grads, 4 * plan.position(id), 4 * numbers);
     }
     tape.backward(work, &plan, GpuWeights { values: &values, grads: &grads }, &any, 0);
@@ -73,8 +73,8 @@ impl UploadedNetworks {
     ///
     /// # Errors
     /// When they do not fit.
-    pub fn upload(engine: &GpuEngine, held: &HeldNetworks) -> Result<UploadedNetworks, GpuError> {
-        GpuNetworks::upload(&mut engine.device.work(), held).map(UploadedNetworks)
+    pub fn upload(engine: &GpuEngine, networks: &TrainingNetworks) -> Result<UploadedNetworks, GpuError> {
+        GpuNetworks::upload(&mut engine.device.work(), networks).map(UploadedNetworks)
     }
 }
 

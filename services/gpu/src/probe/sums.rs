@@ -20,8 +20,8 @@ pub fn running_sums(engine: &GpuEngine, numbers: &[u32]) -> Result<Vec<u32>, Gpu
 /// When the device refuses or fails.
 pub fn sorted(engine: &GpuEngine, keys: &[u32], items: &[u32], bits: u32) -> Result<Vec<u32>, GpuError> {
     let mut work = engine.device.work();
-    let (held, order) = (work.upload("keys", keys)?, work.upload("items", items)?);
-    let (_, order) = sort(&mut work, held, order, items.len(), bits)?;
+    let (key_buffer, order) = (work.upload("keys", keys)?, work.upload("items", items)?);
+    let (_, order) = sort(&mut work, key_buffer, order, items.len(), bits)?;
     work.read(&order, items.len())
 }
 

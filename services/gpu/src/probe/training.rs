@@ -7,7 +7,7 @@ use crate::optimiser::{Groups, StepGrads};
 use crate::packing::pack_image;
 use crate::parameters::GpuTraining;
 use crate::{GpuEngine, GpuError};
-use segwild_objective::{EmbedLight, Held, OptimiserRules, Resident};
+use segwild_objective::{DeviceTraining, EmbedLight, OptimiserRules, TrainingSplats};
 use segwild_raster::{FrameGrad, ProjectOptions, RasterError};
 use segwild_scene::{Camera, Image, Pose};
 
@@ -18,7 +18,7 @@ pub struct TrainedStep {
     /// Gradient of the photo's parameters, if the splats were in its light.
     pub light: Option<EmbedLight>,
     /// The state afterwards.
-    pub held: Held,
+    pub state: TrainingSplats,
 }
 
 /// Renders splats, in a photo's light if there is one, and steps them by the gradients of colour and alpha, and by the
@@ -28,13 +28,13 @@ pub struct TrainedStep {
 /// When memory does not suffice, or the device fails.
 pub fn training_step(
     engine: &GpuEngine,
-    held: &Held,
+    state: &TrainingSplats,
     (camera, pose, options): (&Camera, &Pose, &ProjectOptions),
     light: Option<&EmbedLight>,
     (grad, error): (&FrameGrad, &Image),
     rules: &OptimiserRules,
 ) -> Result<TrainedStep, RasterError> {
-    let mut on_device = GpuTraining::new(&engine.device, &engine.photos_on_device, held)?;
+    let mut on_device = GpuTraining::upload(&engine.device, &engine.photos_on_device, state)?;
     let mut work = engine.device.work();
     let by_image = work.upload("the image's gradients", &pack_image(grad.image, 0, 1, grad.alpha))?;
     let error = work.upload("the errors", &error.data)?;
@@ -46,7 +46,7 @@ pub fn training_step(
     let readback = StepReadback::read(&mut work, &results, &rendered.on.found)?;
     let image = work.read(&rendered.image, rendered.on.pixels * 4)?;
     drop((rendered, work));
-    Ok(TrainedStep { rendered: image, light: lit.then(|| readback.light()), held: on_device.fetch()? })
+    Ok(TrainedStep { rendered: image, light: lit.then(|| readback.light()), state: on_device.download()? })
 }
 
 /// The optimiser's step of all splats, by gradients of 0.
@@ -66,13 +66,13 @@ impl<'e> AdamPasses<'e> {
     /// When they do not fit.
     pub fn upload(
         engine: &'e GpuEngine,
-        held: &Held,
+        state: &TrainingSplats,
         rules: &OptimiserRules,
     ) -> Result<AdamPasses<'e>, GpuError> {
-        let on_device = GpuTraining::new(&engine.device, &engine.photos_on_device, held)?;
+        let on_device = GpuTraining::upload(&engine.device, &engine.photos_on_device, state)?;
         let grads = on_device.some_gradients()?;
         let mut work = engine.device.work();
-        let seen = work.take::<[f32; 4]>("depths and centres", held.splats.len())?;
+        let seen = work.take::<[f32; 4]>("depths and centres", state.splats.len())?;
         let found = work.upload("how many pairs there are", &[0u32, 1])?;
         let groups = on_device.groups(&mut work, rules, None)?;
         Ok(AdamPasses { work, on_device, grads, seen, found, groups })

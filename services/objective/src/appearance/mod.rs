@@ -18,7 +18,7 @@ pub(crate) use affine::{apply_matrix, matrix_backward};
 pub use bake::bake;
 pub use embed::{EmbedAppearance, EmbedLight, RANK};
 pub use gsw::{
-    AppearanceMaps, GswAppearance, GswWidth, HIDDEN_LAYER, HeldNetworks, ImageConditioning, UNetInput,
+    AppearanceMaps, GswAppearance, GswWidth, HIDDEN_LAYER, ImageConditioning, TrainingNetworks, UNetInput,
     VisibleSplats,
 };
 pub use model::{Appearance, AppearanceEmbedding, Directions};

@@ -88,12 +88,12 @@ pub fn compactness(
     }
 
     // Each unordered pair was counted twice, so dL/du_p = 2 sum_q (dL/dC_pq) u_q.
-    let mut pull = vec![0.0; n * channels];
-    matmul(&pairs, &units, n, n, channels, &mut pull);
+    let mut unit_grads = vec![0.0; n * channels];
+    matmul(&pairs, &units, n, n, channels, &mut unit_grads);
     for (i, &(_, p, length)) in pixels.iter().enumerate() {
-        let (unit, pull) = (&units[i * channels..][..channels], &pull[i * channels..][..channels]);
-        let along: f32 = unit.iter().zip(pull).map(|(u, d)| u * d).sum();
-        for ((g, d), u) in grad[p * channels..(p + 1) * channels].iter_mut().zip(pull).zip(unit) {
+        let (unit, unit_grad) = (&units[i * channels..][..channels], &unit_grads[i * channels..][..channels]);
+        let along: f32 = unit.iter().zip(unit_grad).map(|(u, d)| u * d).sum();
+        for ((g, d), u) in grad[p * channels..(p + 1) * channels].iter_mut().zip(unit_grad).zip(unit) {
             *g = 2.0 * (d - along * u) / length;
         }
     }

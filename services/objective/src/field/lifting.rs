@@ -25,7 +25,7 @@ pub trait DeviceLifting: Send + Sync {
     fn add(&self, view: &dyn Projected, image: &Image) -> Result<(), RasterError>;
 
     /// The sums, `[splat][number]`, and the weights.
-    fn fetch(&self) -> Result<(Vec<f32>, Vec<f32>), RasterError>;
+    fn download(&self) -> Result<(Vec<f32>, Vec<f32>), RasterError>;
 }
 
 impl Lifting {
@@ -80,7 +80,7 @@ impl Lifting {
     /// The sums, `[splat][number]`, and the weights, wherever they are.
     pub fn finish(self) -> Result<(Vec<f32>, Vec<f32>), RasterError> {
         match &self.on_device {
-            Some(on_device) => on_device.fetch(),
+            Some(on_device) => on_device.download(),
             None => Ok((self.sums, self.weights)),
         }
     }

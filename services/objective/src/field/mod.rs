@@ -48,7 +48,7 @@ pub struct SampledPixels<'a> {
 
 /// Weights of the losses, and the learning rate.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FieldRule {
+pub struct FieldWeights {
     /// Weight of the embedding loss.
     pub embedding: f32,
     /// Weight of the compactness loss.
@@ -67,13 +67,13 @@ pub struct FieldLosses {
 }
 
 /// Features that are refined, one row per splat, and perhaps a decoder beside them.
-/// [`Refining::step`] steps them, on the host or on the device.
-pub struct Refining {
+/// [`FieldRefinement::step`] steps them, on the host or on the device.
+pub struct FieldRefinement {
     values: Vec<f32>,
     adam: RowAdam,
     channels: usize,
     decoder: Option<LearnedDecoder>,
-    rule: FieldRule,
+    weights: FieldWeights,
     losses: FieldLosses,
     pub(crate) on_device: Option<Box<dyn DeviceRefinement>>,
 }
@@ -92,7 +92,7 @@ pub trait DeviceRefinement: Send + Sync {
     ) -> Result<(), RasterError>;
 
     /// The features, `[splat][channel]`, and the decoder's numbers.
-    fn fetch(&self) -> Result<Refined, RasterError>;
+    fn download(&self) -> Result<RefinedFeatures, RasterError>;
 
     /// The losses of the last step.
     fn losses(&self) -> Result<FieldLosses, RasterError>;
@@ -100,23 +100,31 @@ pub trait DeviceRefinement: Send + Sync {
 
 /// Refined features.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Refined {
+pub struct RefinedFeatures {
     /// `[splat][channel]`.
     pub values: Vec<f32>,
     /// [`LearnedDecoder::numbers`], if there is one.
     pub decoder: Option<Vec<f32>>,
 }
 
-impl Refining {
+impl FieldRefinement {
     /// Features of so many channels, `[splat][channel]`, before the first step.
     pub fn new(
         channels: usize,
         values: Vec<f32>,
         decoder: Option<LearnedDecoder>,
-        rule: FieldRule,
-    ) -> Refining {
-        let adam = RowAdam::new(values.len() / channels.max(1), channels, rule.rate);
-        Refining { values, adam, channels, decoder, rule, losses: FieldLosses::default(), on_device: None }
+        weights: FieldWeights,
+    ) -> FieldRefinement {
+        let adam = RowAdam::new(values.len() / channels.max(1), channels, weights.rate);
+        FieldRefinement {
+            values,
+            adam,
+            channels,
+            decoder,
+            weights,
+            losses: FieldLosses::default(),
+            on_device: None,
+        }
     }
 
     /// The features, while they are on the host.
@@ -128,14 +136,14 @@ impl Refining {
         Channels { count: self.channels, values: &self.values }
     }
 
-    /// The decoder that learns beside them, as it was when they settled.
+    /// The decoder that learns beside them, as it was before the upload.
     pub fn decoder(&self) -> Option<&LearnedDecoder> {
         self.decoder.as_ref()
     }
 
     /// Weights of the losses, and the learning rate.
-    pub fn rule(&self) -> FieldRule {
-        self.rule
+    pub fn weights(&self) -> FieldWeights {
+        self.weights
     }
 
     /// Whether they are on a device.
@@ -182,14 +190,18 @@ impl Refining {
             Some(decoder) => decoder.step(&rendered, target, feature_target.validity, &mut cell_grad),
             None => embedding_loss(&rendered, target, feature_target.validity, &mut cell_grad),
         };
-        feature_target.average.transposed(&cell_grad, self.rule.embedding, &mut grad);
-        let compact = if sampled.pixels.is_empty() { 0.0 } else { self.compare(image, sampled, &mut grad) };
+        feature_target.average.transposed(&cell_grad, self.weights.embedding, &mut grad);
+        let compact = if sampled.pixels.is_empty() {
+            0.0
+        } else {
+            self.add_compactness_gradient(image, sampled, &mut grad)
+        };
         self.losses = FieldLosses { embedding, compact };
         grad
     }
 
     /// Adds the weighted gradient of the sampled pixels' compactness and returns the loss.
-    fn compare(
+    fn add_compactness_gradient(
         &self,
         image: &Image,
         SampledPixels { pixels, membership }: &SampledPixels,
@@ -201,11 +213,11 @@ impl Refining {
             features.extend((0..c).map(|k| image.data[k * n + p as usize]));
         }
         let groups: Vec<u32> = pixels.iter().map(|&p| membership.groups[p as usize]).collect();
-        let mut pull = vec![0.0; features.len()];
-        let result = compactness(&features, c, &groups, membership, &mut pull);
-        for (pull, &p) in pull.chunks_exact(c).zip(*pixels) {
-            for (k, g) in pull.iter().enumerate() {
-                grad.data[k * n + p as usize] += self.rule.compact * g;
+        let mut feature_grads = vec![0.0; features.len()];
+        let result = compactness(&features, c, &groups, membership, &mut feature_grads);
+        for (grads, &p) in feature_grads.chunks_exact(c).zip(*pixels) {
+            for (k, g) in grads.iter().enumerate() {
+                grad.data[k * n + p as usize] += self.weights.compact * g;
             }
         }
         result.loss
@@ -217,10 +229,10 @@ impl Refining {
     }
 
     /// The refined features, on the host or downloaded.
-    pub fn finish(self) -> Result<Refined, RasterError> {
+    pub fn finish(self) -> Result<RefinedFeatures, RasterError> {
         match &self.on_device {
-            Some(on_device) => on_device.fetch(),
-            None => Ok(Refined {
+            Some(on_device) => on_device.download(),
+            None => Ok(RefinedFeatures {
                 values: self.values,
                 decoder: self.decoder.map(|decoder| decoder.numbers().to_vec()),
             }),

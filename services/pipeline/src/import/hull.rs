@@ -99,8 +99,8 @@ pub(super) fn poses(
     extent: &SplatExtent,
     up: Vec3,
 ) -> Result<Vec<Pose>, RunError> {
-    let held = engine.hold(splats).map_err(raster)?;
-    let engine: &dyn Rasterizer = held.as_deref().unwrap_or(engine);
+    let resident = engine.upload_splats(splats).map_err(raster)?;
+    let engine: &dyn Rasterizer = resident.as_deref().unwrap_or(engine);
     let opaque = opaque(splats);
     let every = opaque.len().div_ceil(SURFACES).max(1);
     let centres: Vec<[f32; 3]> = opaque.iter().step_by(every).map(|&i| splats.means[i]).collect();

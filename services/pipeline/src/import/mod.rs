@@ -74,8 +74,8 @@ pub fn render_views(
     let camera = hull::camera(settings.scene.size, (ASPECT * settings.scene.size as f32).round() as u32);
     let options =
         ProjectOptions { antialias: file.writer.antialias.unwrap_or(false), ..ProjectOptions::default() };
-    let held = engine.hold(&placed).map_err(hull::raster)?;
-    let renderer: &dyn Rasterizer = held.as_deref().unwrap_or(&*engine);
+    let resident = engine.upload_splats(&placed).map_err(hull::raster)?;
+    let renderer: &dyn Rasterizer = resident.as_deref().unwrap_or(&*engine);
     let mut frames = Vec::new();
     for (i, pose) in poses.iter().enumerate() {
         let projected = renderer.project(&placed, &camera, pose, &options).map_err(hull::raster)?;

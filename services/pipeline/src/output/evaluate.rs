@@ -188,9 +188,9 @@ pub(crate) fn held_out(
         let sky = sky(view).map_err(|lost| lost.to_string())?;
         Ok(TrainPhoto::new(Arc::unwrap_or_clone(loaded), sky))
     });
-    let there = engine.hold(&model.splats);
-    let there = there.map_err(|e| RunError::Stage { stage: "evaluate", reason: e.to_string() })?;
-    let engine = there.as_deref().unwrap_or(engine);
+    let resident = engine.upload_splats(&model.splats);
+    let resident = resident.map_err(|e| RunError::Stage { stage: "evaluate", reason: e.to_string() })?;
+    let engine = resident.as_deref().unwrap_or(engine);
     // One photo at a time: an evaluation holds its renders in memory.
     let files = ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()));
     let renders = folder.path().join(RENDERS);

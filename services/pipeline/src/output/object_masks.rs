@@ -1,7 +1,7 @@
 //! An object's masks on a scene's photos.
 
 use crate::RunError;
-use segwild_raster::{Kept, ProjectOptions, Rasterizer};
+use segwild_raster::{ProjectOptions, Rasterizer, ResidentChannels};
 use segwild_scene::{Camera, Image, Mask, Pose, Splats};
 use segwild_segmenter::{MaskMode, owned};
 
@@ -12,10 +12,10 @@ const FINER: u32 = 2;
 pub(crate) struct ObjectMasks<'a> {
     engine: &'a dyn Rasterizer,
     /// The engine that holds these splats on its device, if it has one.
-    held: Option<Box<dyn Rasterizer + 'a>>,
+    resident: Option<Box<dyn Rasterizer + 'a>>,
     splats: &'a Splats,
     /// 1 for labelled splats.
-    indicator: Kept<'static>,
+    indicator: ResidentChannels<'static>,
     options: ProjectOptions,
     mode: MaskMode,
 }
@@ -28,9 +28,10 @@ impl<'a> ObjectMasks<'a> {
         options: ProjectOptions,
         mode: MaskMode,
     ) -> Result<ObjectMasks<'a>, RunError> {
-        let mut indicator = Kept::new(1, labels.iter().map(|&l| f32::from(u8::from(l))).collect::<Vec<_>>());
-        indicator.bring(engine)?;
-        Ok(ObjectMasks { engine, held: engine.hold(splats)?, splats, indicator, options, mode })
+        let mut indicator =
+            ResidentChannels::new(1, labels.iter().map(|&l| f32::from(u8::from(l))).collect::<Vec<_>>());
+        indicator.upload(engine)?;
+        Ok(ObjectMasks { engine, resident: engine.upload_splats(splats)?, splats, indicator, options, mode })
     }
 
     /// Blends the indicator of the labelled splats: their share of each pixel, 0 to 1. The image is up to twice as
@@ -40,9 +41,9 @@ impl<'a> ObjectMasks<'a> {
         if self.splats.is_empty() {
             return Ok(Image::filled(camera.width as usize, camera.height as usize, 1, 0.0));
         }
-        let engine = self.held.as_deref().unwrap_or(self.engine);
+        let engine = self.resident.as_deref().unwrap_or(self.engine);
         let projected = engine.project(self.splats, &camera, pose, &self.options)?;
-        Ok(projected.blend_kept(&self.indicator)?.image)
+        Ok(projected.blend_resident(&self.indicator)?.image)
     }
 
     /// The mask of a photo, at the photo's full size: the pixels where the labelled splats' share decides.
@@ -77,7 +78,7 @@ mod tests {
         let labels: Vec<bool> = (0..n).map(|i| i % 60 < 30).collect();
         let source =
             ObjectMasks::new(&engine, &splats, &labels, ProjectOptions::default(), MaskMode::Visible)
-                .expect("it is brought there");
+                .expect("it is uploaded");
         let before = engine.uploaded_bytes();
         for photo in 0..3 {
             let camera = Camera { width: 60, height: 40, fx: 80.0, fy: 80.0, cx: 30.0, cy: 20.0 };

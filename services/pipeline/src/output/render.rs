@@ -12,7 +12,7 @@ use crate::{RunError, RunFolder, Selected, choose_engine, log_loss};
 use glam::Vec3;
 use segwild_features::FeatureColours;
 use segwild_flow::{FileError, Phase, Stopper, files};
-use segwild_raster::{Channels, Kept, Rasterizer};
+use segwild_raster::{Channels, Rasterizer, ResidentChannels};
 use segwild_scene::{Camera, Image, Pose, Scene, View};
 use segwild_trainer::{Model, SceneLight, SceneLighting, render_lit};
 use serde::Serialize;
@@ -167,8 +167,8 @@ fn render_into(
     };
     let renderer = SceneRenderer::with(&loaded, selected, without.as_ref(), request.what, &*engine)?;
     let plain = &*engine;
-    let held = engine.hold(&renderer.model.splats)?;
-    let engine = held.as_deref().unwrap_or(&*engine);
+    let resident = engine.upload_splats(&renderer.model.splats)?;
+    let engine = resident.as_deref().unwrap_or(&*engine);
     let mut rendered = Vec::new();
     let lights = FittedScene::of(&loaded, plain).lights(&request.appearance, &renderer.model)?;
     let object_lights = match &request.object_appearance {
@@ -354,10 +354,10 @@ pub(crate) struct SceneRenderer<'a> {
     /// Per splat, whether it is of the selection.
     whose: Option<Vec<bool>>,
     /// 1 for the splats of the selection, where that is highlighted.
-    highlight: Option<Kept<'static>>,
+    highlight: Option<ResidentChannels<'static>>,
     only: bool,
     what: RenderContent,
-    features: Option<(Kept<'a>, FeatureColours)>,
+    features: Option<(ResidentChannels<'a>, FeatureColours)>,
 }
 
 impl<'a> SceneRenderer<'a> {
@@ -398,17 +398,17 @@ impl<'a> SceneRenderer<'a> {
             }
             if mode == Mode::Highlight && what == RenderContent::Colour {
                 let indicator: Vec<f32> = labels.iter().map(|&w| f32::from(u8::from(w))).collect();
-                let mut indicator = Kept::new(1, indicator);
-                indicator.bring(engine)?;
+                let mut indicator = ResidentChannels::new(1, indicator);
+                indicator.upload(engine)?;
                 highlight = Some(indicator);
             }
             whose = Some(labels);
         }
         let features = match (what, &loaded.field) {
             (RenderContent::Features, Some(field)) => {
-                let mut kept = field.kept();
-                kept.bring(engine)?;
-                Some((kept, FeatureColours::of(field)?))
+                let mut channels = field.resident_channels();
+                channels.upload(engine)?;
+                Some((channels, FeatureColours::of(field)?))
             }
             (RenderContent::Features, None) => {
                 return Err(RunError::Request(
@@ -466,7 +466,7 @@ impl<'a> SceneRenderer<'a> {
                 over_white(&mut image, &alpha, &background);
             }
             if let Some(indicator) = &self.highlight {
-                let share = project()?.blend_kept(indicator)?.image;
+                let share = project()?.blend_resident(indicator)?.image;
                 let n = image.pixels();
                 for c in 0..3 {
                     for i in 0..n {
@@ -481,7 +481,7 @@ impl<'a> SceneRenderer<'a> {
         let projected = engine.project(splats, camera, pose, &options)?;
         match (self.what, &self.features) {
             (RenderContent::Features, Some((field, colours))) => {
-                Ok(colours.paint(&projected.blend_kept(field)?))
+                Ok(colours.paint(&projected.blend_resident(field)?))
             }
             (RenderContent::Alpha, _) => cover(&*projected),
             _ => {

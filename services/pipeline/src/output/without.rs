@@ -8,7 +8,7 @@ use crate::output::camera_path::{PathCamera, scene_up};
 use crate::output::cover::cover;
 use crate::{RunError, RunFolder, transients};
 use glam::{Vec2, Vec3};
-use segwild_raster::{Frame, Kept, ProjectOptions, Rasterizer};
+use segwild_raster::{Frame, ProjectOptions, Rasterizer, ResidentChannels};
 use segwild_scene::{Camera, Image, Mask, Pose, Scene, Splats};
 
 /// Light of a splat in a photo, in pixels, from which on the photo shows it.
@@ -28,7 +28,7 @@ pub(crate) struct SceneWithout {
     pub keep: Vec<usize>,
     /// The scene with the object, 1 for its splats.
     whole: Splats,
-    indicator: Kept<'static>,
+    indicator: ResidentChannels<'static>,
     options: ProjectOptions,
     sky: SeenSky,
 }
@@ -67,13 +67,13 @@ impl SceneWithout {
         let mut without = SceneWithout {
             keep: Vec::new(),
             whole: splats.clone(),
-            indicator: Kept::new(1, indicator),
+            indicator: ResidentChannels::new(1, indicator),
             options,
             sky: SeenSky::new(scene_up(photos.iter().map(|(_, photo)| &photo.pose))),
         };
         let rest = splats.select(&others);
-        let held = engine.hold(&rest)?;
-        let rest_engine = held.as_deref().unwrap_or(engine);
+        let resident = engine.upload_splats(&rest)?;
+        let rest_engine = resident.as_deref().unwrap_or(engine);
         let mut knowledge = vec![SplatKnowledge::default(); others.len()];
         for (index, PathCamera { camera, pose }) in photos {
             let whole = without.object(engine, camera, pose)?;
@@ -98,7 +98,7 @@ impl SceneWithout {
     /// The share of the object in each pixel while it is there, and what all splats cover.
     fn object(&self, engine: &dyn Rasterizer, camera: &Camera, pose: &Pose) -> Result<Frame, RunError> {
         let projected = engine.project(&self.whole, camera, pose, &self.options)?;
-        Ok(projected.blend_kept(&self.indicator)?)
+        Ok(projected.blend_resident(&self.indicator)?)
     }
 
     /// The pixels that show what no photo saw. `rest`: the cover of the splats that stay.

@@ -115,7 +115,7 @@ impl Session {
         let features = match field {
             Some(field) => {
                 let mut features = SplatFeatures::new(field.channels, field.values)?;
-                features.bring(&*engine)?;
+                features.upload(&*engine)?;
                 Some(Arc::new(features))
             }
             None => None,

@@ -10,7 +10,7 @@ use glam::Vec3;
 use segwild_gpu::{AdapterChoice, GpuEngine, Kernel};
 use segwild_objective::compare::{LeaveOut, LossInputs, LossOutput, PhotoTarget};
 use segwild_objective::transients::Residuals;
-use segwild_objective::{EmbedLight, NetworksStep, OptimiserRules, Resident, Rule, TrainingStep};
+use segwild_objective::{DeviceTraining, EmbedLight, NetworksStep, OptimiserRules, Rule, TrainingStep};
 use segwild_raster::{ProjectOptions, RasterError};
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use segwild_selftest::Stage;
@@ -69,7 +69,7 @@ pub fn photo(seed: u64, width: usize, height: usize) -> PhotoTarget {
 
 /// One step of training on [`photo`], which is kept under `key`.
 pub fn step(
-    on_device: &mut dyn Resident,
+    on_device: &mut dyn DeviceTraining,
     (camera, pose): &(Camera, Pose),
     light: Option<&EmbedLight>,
     rules: &OptimiserRules,
@@ -81,7 +81,7 @@ pub fn step(
 
 /// The same with networks.
 pub fn step_with(
-    on_device: &mut dyn Resident,
+    on_device: &mut dyn DeviceTraining,
     (camera, pose): (&Camera, &Pose),
     light: Option<&EmbedLight>,
     networks: Option<NetworksStep>,

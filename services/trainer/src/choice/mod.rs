@@ -124,8 +124,8 @@ impl<'a> Trials<'a> {
         }
         let model = trainer.snapshot()?;
         self.fits.push(ShortFit { appearance, steps, splats: model.splats.len(), psnr: 0.0, ssim: 0.0 });
-        let held_splats = self.engine.hold(&model.splats)?;
-        let renderer = held_splats.as_deref().unwrap_or(&*self.engine);
+        let resident = self.engine.upload_splats(&model.splats)?;
+        let renderer = resident.as_deref().unwrap_or(&*self.engine);
         for held in &mut self.held_out {
             let view = &self.scene.views[held.view];
             let photo = &held.photo.levels[0];

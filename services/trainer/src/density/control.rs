@@ -113,7 +113,7 @@ impl DensityStats {
         }
     }
 
-    /// Per splat the sums in the order of [`segwild_objective::Held::sums`].
+    /// Per splat the sums in the order of [`segwild_objective::TrainingSplats::sums`].
     pub fn rows(&self) -> Vec<[f32; 4]> {
         let sums = self.gradient.iter().zip(&self.error).zip(&self.seen).zip(&self.radius);
         sums.map(|(((&g, &e), &s), &r)| [g, e, s, r]).collect()

@@ -131,8 +131,8 @@ impl<'a> Fitter<'a> {
         sample: &[ComparedPhoto],
         side: usize,
     ) -> Result<f64, TrainError> {
-        let held = self.engine.hold(splats)?;
-        let engine: &dyn Rasterizer = held.as_deref().unwrap_or(self.engine);
+        let resident = self.engine.upload_splats(splats)?;
+        let engine: &dyn Rasterizer = resident.as_deref().unwrap_or(self.engine);
         let mut sum = 0.0;
         for (view, stored) in sample {
             let smaller = stored.levels.iter().filter(|level| level.width.max(level.height) >= side);
@@ -172,8 +172,8 @@ impl<'a> Fitter<'a> {
         let mut affine = AffineAppearance::new(count + 1);
         let mut backgrounds: Vec<Option<Background>> = vec![None; count];
         let (mut trained_on, mut quality) = (Vec::new(), Vec::new());
-        let held = self.engine.hold(&splats)?;
-        let engine: &dyn Rasterizer = held.as_deref().unwrap_or(self.engine);
+        let resident = self.engine.upload_splats(&splats)?;
+        let engine: &dyn Rasterizer = resident.as_deref().unwrap_or(self.engine);
         for (done, view) in self.views.clone().into_iter().enumerate() {
             let stored = match self.cache.get(view) {
                 Ok(stored) => stored,
@@ -202,7 +202,7 @@ impl<'a> Fitter<'a> {
             quality.push(psnr);
             on_photo(done as u32 + 1, psnr)?;
         }
-        drop(held);
+        drop(resident);
         if trained_on.is_empty() {
             let reasons = self.skipped.iter().take(3).map(|s| format!("`{}`: {}", s.name, s.reason));
             return Err(TrainError::NoPhotos(reasons.collect::<Vec<_>>().join("; ")));

@@ -23,7 +23,7 @@ pub use image_conditioning::ImageConditioning;
 pub use nets::{
     BESIDE, DYNAMIC, GswWidth, HIDDEN_LAYER, INTRINSIC, LAYER, MAPS, Networks, PLANES, SAMPLE, VECTOR,
 };
-pub use on_device::{HeldNetworks, UNetInput};
+pub use on_device::{TrainingNetworks, UNetInput};
 pub use points::{DROPPED, OFF_MAP};
 
 use super::affine::NUMBERS;

@@ -21,7 +21,7 @@ pub struct UNetInput<'a> {
 /// The networks with their optimiser state, to be trained on a device: the weights of [`super::Networks`], then the
 /// colour head's last layer.
 #[derive(Clone, Debug, PartialEq)]
-pub struct HeldNetworks {
+pub struct TrainingNetworks {
     /// How wide they are.
     pub width: GswWidth,
     /// The weights.
@@ -34,10 +34,10 @@ pub struct HeldNetworks {
 
 impl GswAppearance {
     /// The networks and their optimiser state, to be trained on a device.
-    pub fn held(&self) -> HeldNetworks {
+    pub fn training_networks(&self) -> TrainingNetworks {
         let moments = [&self.net_moments, &self.point_moments, &self.layer_moments].map(Adam::moments);
         let [first, second] = [0, 1].map(|which| moments.map(|of| of[which]).concat());
-        HeldNetworks {
+        TrainingNetworks {
             width: self.width(),
             weights: [self.weights.as_slice(), &self.layer].concat(),
             first,
@@ -45,12 +45,12 @@ impl GswAppearance {
         }
     }
 
-    /// Takes back the state that [`GswAppearance::held`] returned.
+    /// Takes back the state that [`GswAppearance::training_networks`] returned.
     ///
     /// # Panics
     /// If it is of other networks.
-    pub fn take_back(&mut self, held: HeldNetworks) {
-        let HeldNetworks { mut weights, first, second, .. } = held;
+    pub fn restore_networks(&mut self, trained: TrainingNetworks) {
+        let TrainingNetworks { mut weights, first, second, .. } = trained;
         let (border, all) = (self.nets().border, self.weights.len());
         self.layer.copy_from_slice(&weights.split_off(all));
         self.weights.copy_from_slice(&weights);
