@@ -1,6 +1,7 @@
 //! Real spherical harmonics of degree 0 to 3 in the order and signs of INRIA's files.
 
-const C0: f32 = 0.282_094_79;
+use segwild_scene::ply::SH0;
+
 const C1: f32 = 0.488_602_51;
 const C2: [f32; 5] = [1.092_548_4, -1.092_548_4, 0.315_391_57, -1.092_548_4, 0.546_274_2];
 const C3: [f32; 7] =
@@ -9,7 +10,7 @@ const C3: [f32; 7] =
 /// Values of the basis functions in a unit direction; the first `(degree + 1)²` are set.
 pub fn basis(degree: u32, [x, y, z]: [f32; 3]) -> [f32; 16] {
     let mut b = [0.0; 16];
-    b[0] = C0;
+    b[0] = SH0;
     if degree >= 1 {
         b[1] = -C1 * y;
         b[2] = C1 * z;

@@ -3,11 +3,8 @@
 use crate::screen::Ellipsoid;
 use crate::settings::Vote;
 use rayon::prelude::*;
-use segwild_raster::{ProjectOptions, Projected, RasterError};
+use segwild_raster::{ALPHA_MIN, ProjectOptions, Projected, RasterError};
 use segwild_scene::{Camera, Image, Mask, Pose, Splats};
-
-/// Alpha below which a rasteriser skips a splat (method, section 1).
-const ALPHA_MIN: f32 = 1.0 / 255.0;
 
 /// Pixels `l_0` added to a splat's footprint when its vote is formed (method, section 6.1): splats much smaller than a pixel
 /// carry little information about where a boundary runs. By choice. IoU by half, half more: +.006, 0 on `sacre_coeur`; 0, +.002

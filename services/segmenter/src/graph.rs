@@ -23,7 +23,8 @@ const COLOUR_SIGMA: f32 = 0.25;
 /// 1))`. By choice. IoU by half, half more: 0, 0 on `sacre_coeur`; +.002, 0 on the demo.
 const FEATURE_STEEPNESS: f32 = 4.0;
 
-/// Spherical-harmonics constant of degree 0.
+/// The constant spherical harmonic. It is one unit in the last place above [`segwild_scene::ply::SH0`], so that selections
+/// keep their bytes.
 const SH0: f32 = 0.282_094_8;
 
 /// Undirected neighbour graph, as compressed rows: the edges of splat `i` are

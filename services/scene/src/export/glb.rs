@@ -5,7 +5,8 @@ use super::rotation::unit_rotation;
 use crate::Splats;
 use serde_json::{Value, json};
 
-/// The constant of the basis function of degree 0.
+/// The constant spherical harmonic. It is one unit in the last place above [`crate::ply::SH0`], so that files keep their
+/// bytes.
 const SH_0: f32 = 0.282_094_8;
 /// glTF's number for 32-bit floats, and for a buffer of vertices.
 const FLOAT: u32 = 5126;

@@ -5,17 +5,21 @@ use segwild_flow::Stopper;
 use segwild_pipeline::{PhotoPrompts, segment};
 use segwild_scene::{Prompts, SplatFormat};
 use segwild_studio::messages::{
-    FrameRequest, HoverRequest, PickRequest, ShownPrompts, StudioAction, ViewMessage,
+    ANSWER_LABEL, FrameRequest, HIDDEN_LABEL, HoverRequest, PickRequest, ShownPrompts, StudioAction,
+    ViewMessage,
 };
 use segwild_studio::{Combination, Region, RegionRule, Studio, StudioError};
 use std::sync::Arc;
+
+/// A photo that objects get the appearance of.
+const OTHER_PHOTO: usize = 3;
 
 fn ply(studio: &Studio, id: u32) -> Vec<u8> {
     studio.object_file(id, SplatFormat::Ply).unwrap().1
 }
 
-/// The appearance of a photo, for an object or for the scene.
-fn light(id: Option<u32>, photo: Option<usize>) -> StudioAction {
+/// Gives an object, or the scene, the appearance of a photo.
+fn set_appearance(id: Option<u32>, photo: Option<usize>) -> StudioAction {
     StudioAction::Appearance { id, photo, towards: None, share: 0.0 }
 }
 
@@ -124,6 +128,7 @@ fn a_newer_click_ends_the_answer_before_and_an_empty_draft_all_of_them() {
     studio.act(click(&studio, 0)).unwrap();
     studio.act(click(&studio, 1)).unwrap();
     let message = answered(&studio);
+    // The third answer: before it were that to the empty draft and that to the first click.
     assert_eq!((message.answer.number, message.answer.state), (3, "done"), "{message:?}");
     let wanted = keep_and_count(&studio);
     studio.act(StudioAction::Undo).unwrap();
@@ -209,7 +214,7 @@ fn hovering_shows_what_a_click_would_ask_for_and_a_level_changes_its_size() {
         let map = studio.hover(&HoverRequest { photo, x, y, granularity }).unwrap().unwrap();
         let runs = map.runs.chunks_exact(2);
         assert_eq!(runs.clone().map(|run| run[1] as usize).sum::<usize>(), map.width * map.height);
-        runs.filter(|run| run[0] == 255).map(|run| run[1]).sum::<u32>()
+        runs.filter(|run| run[0] == u32::from(ANSWER_LABEL)).map(|run| run[1]).sum::<u32>()
     };
     assert!(covered(None) > 0);
     assert!(covered(Some(0.0)) <= covered(Some(1.0)));
@@ -255,12 +260,15 @@ fn hidden_and_isolated_objects_show_in_frames_and_labels() {
     let inside = labels.iter().filter(|label| **label == 1).count();
     assert_eq!(inside, studio.message().objects[0].splats);
     studio.act(StudioAction::Show { id: 1, visible: false }).unwrap();
-    assert_eq!(studio.splat_labels().0.iter().filter(|label| **label == 254).count(), inside);
+    assert_eq!(studio.splat_labels().0.iter().filter(|label| **label == HIDDEN_LABEL).count(), inside);
     assert!(frame(false) != plain);
     studio.act(StudioAction::Show { id: 1, visible: true }).unwrap();
     assert!(frame(false) == plain);
     studio.act(StudioAction::Isolate { id: Some(1) }).unwrap();
-    assert_eq!(studio.splat_labels().0.iter().filter(|label| **label == 254).count(), labels.len() - inside);
+    assert_eq!(
+        studio.splat_labels().0.iter().filter(|label| **label == HIDDEN_LABEL).count(),
+        labels.len() - inside
+    );
     assert!(frame(false) != plain);
     let counts = studio.photos_of(1).unwrap();
     assert_eq!(counts.len(), studio.describe().photos.len());
@@ -273,14 +281,15 @@ fn an_appearance_changes_the_object_alone_or_the_whole_scene() {
     let studio = open(&folder);
     keep(&studio, 0, "statue").unwrap();
     let own = ply(&studio, 1);
-    studio.act(light(Some(1), Some(3))).unwrap();
+    studio.act(set_appearance(Some(1), Some(OTHER_PHOTO))).unwrap();
     let of_photo = ply(&studio, 1);
     assert!(of_photo != own && of_photo.len() == own.len());
-    studio.act(light(Some(1), None)).unwrap();
-    studio.act(light(None, Some(3))).unwrap();
+    studio.act(set_appearance(Some(1), None)).unwrap();
+    studio.act(set_appearance(None, Some(OTHER_PHOTO))).unwrap();
     assert!(ply(&studio, 1) == of_photo, "the export has the scene's appearance");
     // All the way to another photo is that photo.
-    let towards = |share| StudioAction::Appearance { id: None, photo: None, towards: Some(3), share };
+    let towards =
+        |share| StudioAction::Appearance { id: None, photo: None, towards: Some(OTHER_PHOTO), share };
     studio.act(towards(1.0)).unwrap();
     assert!(ply(&studio, 1) == of_photo);
     studio.act(towards(0.5)).unwrap();
@@ -289,7 +298,7 @@ fn an_appearance_changes_the_object_alone_or_the_whole_scene() {
     assert!(ply(&studio, 1) == own);
     assert!(studio.act(towards(1.5)).is_err());
     let held_out = studio.describe().photos.iter().position(|photo| photo.held_out).unwrap();
-    assert!(studio.act(light(None, Some(held_out))).is_err());
+    assert!(studio.act(set_appearance(None, Some(held_out))).is_err());
 }
 
 #[test]
@@ -322,7 +331,7 @@ fn requests_that_make_no_sense_are_refused_and_nothing_is_written() {
         region(odd, square()),
         region(large, square()),
         region(view(&studio, 0), Region::Polygon { points: vec![] }),
-        light(None, Some(999)),
+        set_appearance(None, Some(999)),
         StudioAction::Combine { id: 1, with: 2, how: Combination::Add },
     ];
     for action in refused {
@@ -345,7 +354,11 @@ fn transients_are_painted_into_the_runs_own_mask_and_undone_to_the_pixel() {
     let camera = studio.describe().photos[photo].camera;
     let covered = || {
         let map = studio.transients(photo).unwrap();
-        map.runs.chunks_exact(2).filter(|run| run[0] == 255).map(|run| run[1]).sum::<u32>()
+        map.runs
+            .chunks_exact(2)
+            .filter(|run| run[0] == u32::from(ANSWER_LABEL))
+            .map(|run| run[1])
+            .sum::<u32>()
     };
     let square = |x0: f32, x1: f32| Region::Polygon {
         points: [[x0, 0.2], [x1, 0.2], [x1, 0.8], [x0, 0.8]]
