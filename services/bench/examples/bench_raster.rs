@@ -1,4 +1,4 @@
-//! Times the CPU engine: `cargo run -p segwild-objective --example bench_raster [-- quick|splats|pixels|channels]`.
+//! Times the CPU engine: `cargo run -p segwild-bench --example bench_raster [-- quick|splats|pixels|channels]`.
 //!
 //! Prints milliseconds of wall clock (best of several) and of CPU per forward, backward and gather pass
 //! against the number of splats, the pixels and the channels, with the slope of the log-log fit of CPU time:
