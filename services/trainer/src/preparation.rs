@@ -1,4 +1,5 @@
-//! What comes before a training: the search for initial transients, and stereo initialisation.
+//! What comes before a training: the search for initial transients, and stereo initialisation. It lies above `trainer.rs`:
+//! the search makes trainers of its own.
 
 use crate::colours::coloured;
 use crate::initial_transients::initial_transients;

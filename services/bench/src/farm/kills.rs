@@ -23,23 +23,34 @@ const LONGEST: Duration = Duration::from_secs(3600);
 /// How long a server may take to answer, at the end.
 const PATIENCE: Duration = Duration::from_secs(30);
 
+/// How large the farm is whose parts are killed.
+#[derive(Clone, Copy)]
+pub(super) struct FarmSize {
+    pub scenes: usize,
+    pub workers: usize,
+}
+
 /// What kills did to a farm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KillFigures {
-    /// Scenes and workers.
-    pub farm: [usize; 2],
+    /// Scenes of the farm.
+    pub scenes: usize,
+    /// Its workers.
+    pub workers: usize,
     /// How often each of worker, server and batch was killed.
     pub killed: BTreeMap<String, usize>,
     /// Machines that did not come back.
-    pub lost: usize,
+    pub machines_lost: usize,
     /// Scenes whose result differs from one machine's in any byte.
     pub differing: usize,
     /// Scenes that were completed more than once.
-    pub doubled: usize,
+    pub completed_twice: usize,
     /// Scenes that were taken in all.
     pub taken: u64,
-    /// How long the farm took, and one scene on one machine, in seconds.
-    pub seconds: [f64; 2],
+    /// How long the farm took, in seconds.
+    pub farm_s: f64,
+    /// How long one scene took on one machine, in seconds.
+    pub alone_s: f64,
 }
 
 /// What the farm consists of.
@@ -87,7 +98,7 @@ pub(super) fn kills(
     program: &Path,
     server: &Path,
     dir: &Path,
-    farm: [usize; 2],
+    farm: FarmSize,
     kills: usize,
 ) -> Result<Option<KillFigures>, FarmBenchError> {
     let io = |source| FarmBenchError::Io { path: dir.to_owned(), source };
@@ -117,7 +128,7 @@ pub(super) fn kills(
     };
     let [one, all] = ["one.toml", "all.toml"].map(|name| dir.join(name));
     files::write_plain(&one, manifest(1)).map_err(io)?;
-    files::write_plain(&all, manifest(farm[0])).map_err(io)?;
+    files::write_plain(&all, manifest(farm.scenes)).map_err(io)?;
     let began = Instant::now();
     let mut alone = Command::new(program);
     let alone = quiet(alone.arg("batch").arg(&one).arg("--out").arg(dir.join("one"))).status().map_err(io)?;
@@ -131,12 +142,12 @@ pub(super) fn kills(
     let site = KilledFarm { program, dir: dir.to_owned(), address, manifest: all };
     let mut random = Random::new(0x5e97);
     let mut workers = Children(Vec::new());
-    for w in 0..farm[1] {
+    for w in 0..farm.workers {
         let folder = format!("w{w}");
         workers.0.push((folder.clone(), site.worker(&folder).map_err(io)?));
     }
     let mut batch = Children(vec![("batch".into(), site.batch().map_err(io)?)]);
-    let (mut killed, mut lost, mut ends) = (BTreeMap::<String, usize>::new(), 0, None);
+    let (mut killed, mut machines_lost, mut ends) = (BTreeMap::<String, usize>::new(), 0, None);
     let began = Instant::now();
     while ends.is_none() {
         if began.elapsed() > LONGEST {
@@ -162,31 +173,42 @@ pub(super) fn kills(
                 batch.0[0].1 = site.batch().map_err(io)?;
             }
             _ => {
-                let (folder, child) = &mut workers.0[random.below(farm[1])];
+                let (folder, child) = &mut workers.0[random.below(farm.workers)];
                 end(child);
                 pause(&mut random, 0.0, 1.0);
                 if killed["worker"].is_multiple_of(LOST_EVERY) {
-                    lost += 1;
-                    *folder = format!("w{}", farm[1] + lost);
+                    machines_lost += 1;
+                    *folder = format!("w{}", farm.workers + machines_lost);
                 }
                 *child = site.worker(folder).map_err(io)?;
             }
         }
     }
-    let seconds = [began.elapsed().as_secs_f64(), alone_s];
+    let farm_s = began.elapsed().as_secs_f64();
     if !ends.is_some_and(|status| status.success()) {
         return Err(FarmBenchError::Scene(format!("the batch ended with {ends:?}")));
     }
     let differs = |i: &usize| results(&dir.join(format!("night/s{i:02}"))) != reference;
-    let differing = (0..farm[0]).filter(differs).count();
+    let differing = (0..farm.scenes).filter(differs).count();
     let engine = NatsEngine::connect(&site.address.parse()?, &FarmAccess::default(), "bench", PATIENCE)?;
     let mut completed = BTreeMap::<String, usize>::new();
     for change in engine.watch(0, usize::MAX)?.into_iter().filter(|c| c.kind == ChangeKind::Completed) {
         *completed.entry(change.job).or_default() += 1;
     }
-    let doubled = completed.values().filter(|n| **n > 1).count();
+    let completed_twice = completed.values().filter(|n| **n > 1).count();
     let taken = engine.count(ChangeKind::Claimed)?;
-    Ok(Some(KillFigures { farm, killed, lost, differing, doubled, taken, seconds }))
+    let FarmSize { scenes, workers } = farm;
+    Ok(Some(KillFigures {
+        scenes,
+        workers,
+        killed,
+        machines_lost,
+        differing,
+        completed_twice,
+        taken,
+        farm_s,
+        alone_s,
+    }))
 }
 
 fn end(child: &mut Child) {

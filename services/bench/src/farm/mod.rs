@@ -11,12 +11,13 @@ pub use self::kills::KillFigures;
 pub use self::server::LogFigures;
 pub use self::simulation::{SimulatedFarm, SimulatedFigures};
 
+use self::kills::FarmSize;
 use segwild_eval::record::Provenance;
 use segwild_eval::stamp;
 use std::path::PathBuf;
 
-/// Scenes and workers of the farm whose parts are killed.
-const KILLED_FARM: [usize; 2] = [12, 4];
+/// The farm whose parts are killed.
+const KILLED_FARM: FarmSize = FarmSize { scenes: 12, workers: 4 };
 
 /// How to measure.
 #[derive(Clone, Debug)]
@@ -86,16 +87,16 @@ pub fn page(figures: &FarmFigures, options: &FarmBenchOptions, made: &Provenance
         Some(log) => {
             text += &format!(
                 "| what | measured |\n|---|---|\n| server | {} |\n| changes a second, one machine | {:.0} |\n| changes a second, \
-                 four machines at once | {:.0} |\n| a machine joins and has read {:.0} records after | {:.0} ms |\n| on the \
-                 server's disk after {:.0} records of {} jobs | {:.2} MiB |\n",
+                 four machines at once | {:.0} |\n| a machine joins and has read {} records after | {:.0} ms |\n| on the \
+                 server's disk after {} records of {} jobs | {:.2} MiB |\n",
                 log.server,
-                log.alone,
-                log.four,
-                log.joining[1],
-                log.joining[0],
-                log.disk[1],
+                log.changes_per_s,
+                log.changes_per_s_of_four,
+                log.join_records,
+                log.join_ms,
+                log.disk_records,
                 log.jobs,
-                log.disk[0] / f64::from(1 << 20)
+                log.disk_bytes as f64 / f64::from(1 << 20)
             );
         }
     }
@@ -108,15 +109,15 @@ pub fn page(figures: &FarmFigures, options: &FarmBenchOptions, made: &Provenance
              | killed | machines lost | scenes that differ from one machine's in any byte | completed twice | taken in all | \
              farm took | one scene on one machine |\n|---|---:|---:|---:|---:|---:|---:|\n| {} | {} | {} | {} | {} | {:.0} s | \
              {:.1} s |\n",
-            k.farm[0],
-            k.farm[1],
+            k.scenes,
+            k.workers,
             each.join(", "),
-            k.lost,
+            k.machines_lost,
             k.differing,
-            k.doubled,
+            k.completed_twice,
             k.taken,
-            k.seconds[0],
-            k.seconds[1]
+            k.farm_s,
+            k.alone_s
         );
     }
     text += &format!(
@@ -132,22 +133,22 @@ pub fn page(figures: &FarmFigures, options: &FarmBenchOptions, made: &Provenance
     );
     for s in &figures.simulated {
         text += &format!(
-            "| {} | {} | {} ({}) | {} | {} | {:.2} | {:.3} | {:.1} % | {:.1} % | {:.0} min | {:.2} | {} | {:.0} | {:.1} |\n",
+            "| {} | {} | {} ({}) | {} | {} | {:.2} | {:.3} | {:.1} % | {:.1} % | {:.0} min | {:.2} | {} | {} | {:.1} |\n",
             s.seed,
             s.done,
-            s.dead[0],
-            s.dead[1],
+            s.dead,
+            s.hopeless,
             s.lost,
-            s.doubled,
+            s.completed_twice,
             s.hours,
             s.over_ideal,
             100.0 * s.busy,
             100.0 * s.redone,
             s.urgent_wait_min,
             s.tail,
-            s.deaths,
-            s.records[0],
-            s.records[1]
+            s.silences,
+            s.records,
+            s.records_per_s
         );
     }
     text += "\nThe ideal is the work that was done divided by all cores (no machine idle, nothing worked twice), or the longest scene, where \

@@ -15,13 +15,17 @@ pub struct LogFigures {
     /// Jobs that were handed in, claimed and completed.
     pub jobs: usize,
     /// Changes a second by one machine: handing in, claiming, completing.
-    pub alone: f64,
+    pub changes_per_s: f64,
     /// Changes a second of four machines that work at once, all together.
-    pub four: f64,
-    /// How long a machine that joins reads the log, in milliseconds, and over how many records.
-    pub joining: [f64; 2],
-    /// Bytes on the server's disk, and records that were ever appended.
-    pub disk: [f64; 2],
+    pub changes_per_s_of_four: f64,
+    /// How long a machine that joins reads the log, in milliseconds.
+    pub join_ms: f64,
+    /// Records that it reads.
+    pub join_records: u64,
+    /// Bytes on the server's disk.
+    pub disk_bytes: u64,
+    /// Records that were ever appended.
+    pub disk_records: u64,
 }
 
 /// A server with its store in a folder; it ends with this value.
@@ -135,11 +139,11 @@ pub(super) fn log(program: &Path, folder: &Path, jobs: usize) -> Result<Option<L
     let began = Instant::now();
     hand_in(&engine)?;
     work(&engine, "alone")?;
-    let alone = 3.0 * jobs as f64 / began.elapsed().as_secs_f64();
+    let changes_per_s = 3.0 * jobs as f64 / began.elapsed().as_secs_f64();
     let began = Instant::now();
     let joined = connect("alone")?;
-    let joining = [began.elapsed().as_secs_f64() * 1e3, joined.records() as f64];
-    let disk = [size(&folder.join("store")) as f64, engine.records() as f64];
+    let (join_ms, join_records) = (began.elapsed().as_secs_f64() * 1e3, joined.records());
+    let (disk_bytes, disk_records) = (size(&folder.join("store")), engine.records());
     let engine = connect("four")?;
     hand_in(&engine)?;
     let began = Instant::now();
@@ -150,9 +154,18 @@ pub(super) fn log(program: &Path, folder: &Path, jobs: usize) -> Result<Option<L
             (0..4).map(|w| scope.spawn(move || work(&connect("four")?, &format!("w{w}")))).collect();
         workers.into_iter().map(|w| w.join().unwrap_or(Err(FarmBenchError::Panicked))).collect()
     });
-    let four = 2.0 * done?.into_iter().sum::<usize>() as f64 / began.elapsed().as_secs_f64();
+    let changes_per_s_of_four = 2.0 * done?.into_iter().sum::<usize>() as f64 / began.elapsed().as_secs_f64();
     let server = version.unwrap_or_else(|| "unknown".into());
-    Ok(Some(LogFigures { server, jobs, alone, four, joining, disk }))
+    Ok(Some(LogFigures {
+        server,
+        jobs,
+        changes_per_s,
+        changes_per_s_of_four,
+        join_ms,
+        join_records,
+        disk_bytes,
+        disk_records,
+    }))
 }
 
 fn size(folder: &Path) -> u64 {

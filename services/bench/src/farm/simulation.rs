@@ -28,12 +28,14 @@ pub struct SimulatedFigures {
     pub seed: u64,
     /// Scenes that are done.
     pub done: usize,
-    /// Dead letters, and how many scenes can only become one.
-    pub dead: [usize; 2],
+    /// Dead letters.
+    pub dead: usize,
+    /// Scenes that can only become one.
+    pub hopeless: usize,
     /// Scenes that are neither, at the end.
     pub lost: usize,
     /// Scenes that were completed more than once.
-    pub doubled: usize,
+    pub completed_twice: usize,
     /// Until everything was done, in hours.
     pub hours: f64,
     /// That over the ideal: the work divided by all cores, or the longest scene where that takes longer. No farm is faster
@@ -47,10 +49,12 @@ pub struct SimulatedFigures {
     pub urgent_wait_min: f64,
     /// From when no scene was waiting any more until the end, over the time of the longest scene.
     pub tail: f64,
-    /// Machines that fell silent.
-    pub deaths: usize,
-    /// Records of the log, and how many there were a second.
-    pub records: [f64; 2],
+    /// How often a machine fell silent.
+    pub silences: usize,
+    /// Records of the log.
+    pub records: u64,
+    /// How many there were a second.
+    pub records_per_s: f64,
 }
 
 /// A lease lasts so long, and is renewed three times in it, in seconds.
@@ -152,7 +156,7 @@ struct FarmState {
     longest: f64,
     urgent: BTreeMap<usize, f64>,
     urgent_wait: f64,
-    deaths: usize,
+    silences: usize,
 }
 
 impl SimulatedFarm {
@@ -182,7 +186,7 @@ impl SimulatedFarm {
             longest: 0.0,
             urgent: BTreeMap::new(),
             urgent_wait: 0.0,
-            deaths: 0,
+            silences: 0,
         };
         for i in 0..self.scenes {
             let nature = match i % 1000 {
@@ -414,7 +418,7 @@ impl FarmState {
     }
 
     fn dies(&mut self, machine: usize, back_s: f64) {
-        self.deaths += 1;
+        self.silences += 1;
         let running = std::mem::take(&mut self.machines[machine].running);
         running.iter().for_each(|running| self.account(running));
         self.machines[machine].life += 1;
@@ -431,17 +435,19 @@ impl FarmState {
         SimulatedFigures {
             seed,
             done,
-            dead: [dead, hopeless],
+            dead,
+            hopeless,
             lost: self.scenes.len() - done - dead,
-            doubled: self.scenes.iter().filter(|s| s.completed > 1).count(),
+            completed_twice: self.scenes.iter().filter(|s| s.completed > 1).count(),
             hours: end / 3600.0,
             over_ideal: end / (self.useful / f64::from(cores)).max(self.longest),
             busy: self.worked_then / (f64::from(cores) * self.last_claim),
             redone: 1.0 - self.useful / self.worked,
             urgent_wait_min: self.urgent_wait / 60.0,
             tail: (end - self.last_claim) / self.longest,
-            deaths: self.deaths,
-            records: [self.records as f64, self.records as f64 / end],
+            silences: self.silences,
+            records: self.records,
+            records_per_s: self.records as f64 / end,
         }
     }
 }
@@ -454,9 +460,9 @@ mod tests {
     fn a_simulated_farm_loses_and_doubles_nothing_and_is_the_same_for_a_seed() {
         let farm = SimulatedFarm { scenes: 1000, workers: 12, seed: 7 };
         let found = farm.run();
-        assert_eq!((found.lost, found.doubled), (0, 0));
-        assert_eq!(found.dead[0], found.dead[1], "who is hopeless and nobody else is given up");
-        assert!(found.deaths > 6, "the machines do fall silent: {}", found.deaths);
+        assert_eq!((found.lost, found.completed_twice), (0, 0));
+        assert_eq!(found.dead, found.hopeless, "who is hopeless and nobody else is given up");
+        assert!(found.silences > 6, "the machines do fall silent: {}", found.silences);
         assert!((1.0..2.0).contains(&found.over_ideal), "{}", found.over_ideal);
         assert!((0.7..=1.0).contains(&found.busy), "{}", found.busy);
         assert!(found.urgent_wait_min < 120.0, "{}", found.urgent_wait_min);

@@ -58,21 +58,21 @@ pub fn farm(matches: &ArgMatches) -> Result<(), Failure> {
     let figures = segwild_bench::farm::farm(&options, |s| {
         let _ = print_line(&format!(
             "seed {}: {} done, {} dead of {} hopeless, {} lost, {} done twice; {:.3} of the ideal time, {:.1} % busy",
-            s.seed, s.done, s.dead[0], s.dead[1], s.lost, s.doubled, s.over_ideal, 100.0 * s.busy
+            s.seed, s.done, s.dead, s.hopeless, s.lost, s.completed_twice, s.over_ideal, 100.0 * s.busy
         ));
     })
     .map_err(failed)?;
     match &figures.log {
         None => print_line("no nats-server here: the log was not measured")?,
         Some(log) => print_line(&format!(
-            "{:.0} changes a second by one machine, {:.0} by four; {:.0} ms to join after {:.0} records",
-            log.alone, log.four, log.joining[0], log.joining[1]
+            "{:.0} changes a second by one machine, {:.0} by four; {:.0} ms to join after {} records",
+            log.changes_per_s, log.changes_per_s_of_four, log.join_ms, log.join_records
         ))?,
     }
     if let Some(k) = &figures.kills {
         print_line(&format!(
             "{:?} killed: {} of {} scenes differ, {} completed twice, in {:.0} s",
-            k.killed, k.differing, k.farm[0], k.doubled, k.seconds[0]
+            k.killed, k.differing, k.scenes, k.completed_twice, k.farm_s
         ))?;
     }
     if let Some(file) = path_of(matches, "page") {
@@ -80,15 +80,16 @@ pub fn farm(matches: &ArgMatches) -> Result<(), Failure> {
         segwild_flow::files::write_plain(&file, page(&figures, &options, &made))
             .map_err(|e| Failure::cannot_write(&file, &e))?;
     }
-    if let Some(k) = figures.kills.as_ref().filter(|k| k.differing + k.doubled > 0) {
+    if let Some(k) = figures.kills.as_ref().filter(|k| k.differing + k.completed_twice > 0) {
         let message =
-            format!("{} scenes differ after kills, {} were completed twice", k.differing, k.doubled);
+            format!("{} scenes differ after kills, {} were completed twice", k.differing, k.completed_twice);
         return Err(Failure { message, code: exit::FAILED });
     }
-    match figures.simulated.iter().find(|s| s.lost > 0 || s.doubled > 0) {
+    match figures.simulated.iter().find(|s| s.lost > 0 || s.completed_twice > 0) {
         None => Ok(()),
         Some(s) => {
-            let message = format!("seed {}: {} scenes were lost, {} done twice", s.seed, s.lost, s.doubled);
+            let message =
+                format!("seed {}: {} scenes were lost, {} done twice", s.seed, s.lost, s.completed_twice);
             Err(Failure { message, code: exit::FAILED })
         }
     }
