@@ -9,8 +9,8 @@
 //!
 //! A round simulates a person's prompts on all photos: a box, a click somewhere in the object, a click in its middle, and then
 //! corrections in the middle of the largest mistake; and once two clicks, one at each end of the object. Every interpretation
-//! of each click is kept with its IoU. The weights then climb the expected IoU of the soft choice, over all rounds so far: the
-//! answers with the weights of one round decide which mistakes are corrected in the next one.
+//! of each click is kept with its IoU. The weights are then fitted to all rounds so far ([`fit_weights`]): the answers with the
+//! weights of one round decide which mistakes are corrected in the next one.
 
 #[allow(dead_code, reason = "the examples share it, none uses all of it")]
 mod common;
@@ -30,9 +30,9 @@ const LEAST: f64 = 0.005;
 const CLICKS: usize = 6;
 /// Memory for what is known of the photos.
 const MEMORY: usize = 2 << 30;
-/// Steps of the ascent, its rate, and how strongly weights are pulled to 0.
+/// Steps of Adam, its learning rate at the start, and the weight decay.
 const STEPS: usize = 1500;
-const RATE: f64 = 0.03;
+const LEARNING_RATE: f64 = 0.03;
 const DECAY: f64 = 2e-4;
 
 /// One training case: the interpretations of a prompt, and the IoU of each.
@@ -52,37 +52,38 @@ struct TrainingPhoto {
     scene: usize,
 }
 
-fn iou(answers: &[Mask], mask: &Mask) -> f64 {
-    answers.iter().map(|a| a.iou(mask)).fold(0.0, f64::max)
+/// IoU with the nearest of the true masks.
+fn best_iou(truths: &[Mask], prediction: &Mask) -> f64 {
+    truths.iter().map(|truth| truth.iou(prediction)).fold(0.0, f64::max)
 }
 
-/// IoU of everything that could have been meant with the nearest of the right masks.
-fn ious(query: &PromptQuery, right: &[Mask]) -> Vec<f64> {
+/// IoU of each interpretation with the nearest of the true masks.
+fn interpretation_ious(query: &PromptQuery, truths: &[Mask]) -> Vec<f64> {
     let count = query.superpixels.iter().max().map_or(0, |m| *m as usize + 1);
     let mut best = vec![0.0f64; query.interpretations.len()];
-    for mask in right {
-        let mask = mask.resized(query.size.0 as u32, query.size.1 as u32);
+    for truth in truths {
+        let truth = truth.resized(query.size.0 as u32, query.size.1 as u32);
         let mut pixels = vec![(0.0, 0.0); count];
         for (i, &s) in query.superpixels.iter().enumerate() {
             let of = &mut pixels[s as usize];
-            *of = (of.0 + f64::from(u8::from(mask.index(i))), of.1 + 1.0);
+            *of = (of.0 + f64::from(u8::from(truth.index(i))), of.1 + 1.0);
         }
         for (best, interpretation) in best.iter_mut().zip(&query.interpretations) {
             let inside = pixels.iter().zip(&interpretation.inside).filter(|p| *p.1);
             let (both, area) = inside.fold((0.0, 0.0), |sum, (p, _)| (sum.0 + p.0, sum.1 + p.1));
-            *best = best.max(both / (area + mask.count() as f64 - both).max(1.0));
+            *best = best.max(both / (area + truth.count() as f64 - both).max(1.0));
         }
     }
     best
 }
 
-/// The answer that is nearest to a mask: mistakes are measured against it.
-fn nearest<'a>(answers: &'a [Mask], mask: &Mask) -> Option<&'a Mask> {
-    answers.iter().max_by(|a, b| a.iou(mask).total_cmp(&b.iou(mask)))
+/// The true mask with the highest IoU: mistakes are measured against it.
+fn best_truth<'a>(truths: &'a [Mask], prediction: &Mask) -> Option<&'a Mask> {
+    truths.iter().max_by(|a, b| a.iou(prediction).total_cmp(&b.iou(prediction)))
 }
 
 /// A click well inside, but not in the middle.
-fn elsewhere(mask: &Mask, number: usize) -> Option<(f32, f32)> {
+fn off_centre_click(mask: &Mask, number: usize) -> Option<(f32, f32)> {
     let depth = mask.not().distances();
     let at = |x: u32, y: u32| depth[(y * mask.width() + x) as usize];
     let most = mask.pixels().map(|(x, y)| at(x, y)).fold(0.0, f32::max);
@@ -92,7 +93,7 @@ fn elsewhere(mask: &Mask, number: usize) -> Option<(f32, f32)> {
 }
 
 /// Clicks in the middle of both ends of an object, the larger share first: what a person points at who sees two parts.
-fn ends(mask: &Mask) -> Option<[(f32, f32); 2]> {
+fn end_clicks(mask: &Mask) -> Option<[(f32, f32); 2]> {
     let bounds = box_of(mask);
     let (wide, high) = (bounds.x1 - bounds.x0, bounds.y1 - bounds.y0);
     let along = |x: f32, y: f32| {
@@ -110,8 +111,8 @@ fn ends(mask: &Mask) -> Option<[(f32, f32); 2]> {
 }
 
 /// Simulates a person's prompts for one object; returns the training cases, and the IoU after one click and after each correction.
-fn play(
-    see: &Builtin,
+fn simulate_prompts(
+    provider: &Builtin,
     photo: &TrainingPhoto,
     object: &[Mask],
     number: usize,
@@ -119,13 +120,13 @@ fn play(
     let mut cases = Vec::new();
     let inner = object.iter().min_by_key(|m| m.count()).ok_or("an object without a mask")?;
     let Some(middle) = most_interior(inner) else { return Ok((cases, Vec::new())) };
-    let ask = |prompts: &Prompts, right: &[Mask], cases: &mut Vec<TrainingCase>| -> ExampleResult<Mask> {
-        let (answer, query) = see.answer(&photo.image, prompts)?;
+    let ask = |prompts: &Prompts, truths: &[Mask], cases: &mut Vec<TrainingCase>| -> ExampleResult<Mask> {
+        let (answer, query) = provider.answer(&photo.image, prompts)?;
         if let Some(query) = query {
             cases.push(TrainingCase {
                 step: query.step,
                 weight: photo.weight,
-                ious: ious(&query, right),
+                ious: interpretation_ious(&query, truths),
                 traits: query.interpretations.into_iter().map(|m| m.traits).collect(),
             });
         }
@@ -136,36 +137,37 @@ fn play(
     let whole = std::slice::from_ref(outer);
     ask(&Prompts { boxes: boxes.clone(), ..Prompts::default() }, whole, &mut cases)?;
     ask(&Prompts { boxes, ..Prompts::click(middle.0, middle.1) }, whole, &mut cases)?;
-    for turn in 0..2 {
-        if let Some((x, y)) = elsewhere(outer, 2 * number + turn) {
-            let held: Vec<Mask> = object.iter().filter(|m| m.at(x, y)).cloned().collect();
-            ask(&Prompts::click(x, y), &held, &mut cases)?;
+    for click in 0..2 {
+        if let Some((x, y)) = off_centre_click(outer, 2 * number + click) {
+            let truths: Vec<Mask> = object.iter().filter(|m| m.at(x, y)).cloned().collect();
+            ask(&Prompts::click(x, y), &truths, &mut cases)?;
         }
     }
-    if let Some([a, b]) = ends(outer) {
+    if let Some([a, b]) = end_clicks(outer) {
         let mut prompts = Prompts::click(a.0, a.1);
         prompts.points.extend(Prompts::click(b.0, b.1).points);
         ask(&prompts, whole, &mut cases)?;
     }
     let mut prompts = Prompts::click(middle.0, middle.1);
-    let mut series = Vec::new();
+    let mut iou_per_click = Vec::new();
     loop {
         let answer = ask(&prompts, object, &mut cases)?;
-        series.push(iou(object, &answer));
+        iou_per_click.push(best_iou(object, &answer));
         if prompts.points.len() == CLICKS {
-            return Ok((cases, series));
+            return Ok((cases, iou_per_click));
         }
-        match nearest(object, &answer).and_then(|truth| correction(&answer, truth)) {
+        match best_truth(object, &answer).and_then(|truth| correction(&answer, truth)) {
             Some(click) => prompts.points.push(click),
-            None => return Ok((cases, series)),
+            None => return Ok((cases, iou_per_click)),
         }
     }
 }
 
-/// Gradient ascent from `start` on the expected IoU of the soft choice.
-fn climb(cases: &[&TrainingCase], start: &[f32]) -> Vec<f32> {
+/// Fits weights, from `start`: Adam maximises the IoU of a case's interpretations, weighted by the softmax of their scores,
+/// less a quadratic penalty on the weights.
+fn fit_weights(cases: &[&TrainingCase], start: &[f32]) -> Vec<f32> {
     let count = start.len();
-    // Traits differ in size: the ascent sees each by its spread.
+    // Traits differ in size: each is divided by its standard deviation.
     let mut spread = vec![(0.0f64, 0.0f64, 0.0f64); count];
     for traits in cases.iter().flat_map(|q| &q.traits) {
         for (s, &t) in spread.iter_mut().zip(traits) {
@@ -177,7 +179,7 @@ fn climb(cases: &[&TrainingCase], start: &[f32]) -> Vec<f32> {
     let (mut first, mut second) = (vec![0.0; count], vec![0.0; count]);
     let total: f64 = cases.iter().map(|q| q.weight).sum();
     for step in 1..=STEPS {
-        let mut slope = vec![0.0; count];
+        let mut gradient = vec![0.0; count];
         for q in cases {
             let scores: Vec<f64> = q
                 .traits
@@ -185,28 +187,28 @@ fn climb(cases: &[&TrainingCase], start: &[f32]) -> Vec<f32> {
                 .map(|t| t.iter().zip(&weights).zip(&scale).map(|((t, w), s)| f64::from(*t) / s * w).sum())
                 .collect();
             let top = scores.iter().copied().fold(f64::MIN, f64::max);
-            let odds: Vec<f64> = scores.iter().map(|s| (s - top).exp()).collect();
-            let sum: f64 = odds.iter().sum();
-            let expected: f64 = odds.iter().zip(&q.ious).map(|(p, i)| p / sum * i).sum();
-            for ((p, i), traits) in odds.iter().zip(&q.ious).zip(&q.traits) {
-                let pull = q.weight / total * p / sum * (i - expected);
-                if pull.abs() > 1e-9 {
-                    slope
+            let exps: Vec<f64> = scores.iter().map(|s| (s - top).exp()).collect();
+            let sum: f64 = exps.iter().sum();
+            let expected: f64 = exps.iter().zip(&q.ious).map(|(p, i)| p / sum * i).sum();
+            for ((p, i), traits) in exps.iter().zip(&q.ious).zip(&q.traits) {
+                let by_score = q.weight / total * p / sum * (i - expected);
+                if by_score.abs() > 1e-9 {
+                    gradient
                         .iter_mut()
                         .zip(traits)
                         .zip(&scale)
-                        .for_each(|((g, t), s)| *g += pull * f64::from(*t) / s);
+                        .for_each(|((g, t), s)| *g += by_score * f64::from(*t) / s);
                 }
             }
         }
-        let rate = RATE * (1.0 - 0.9 * step as f64 / STEPS as f64);
+        let learning_rate = LEARNING_RATE * (1.0 - 0.9 * step as f64 / STEPS as f64);
         for k in 0..count {
-            let g = slope[k] - DECAY * weights[k];
+            let g = gradient[k] - DECAY * weights[k];
             first[k] = 0.9 * first[k] + 0.1 * g;
             second[k] = 0.999 * second[k] + 0.001 * g * g;
             let (m, v) =
                 (first[k] / (1.0 - 0.9f64.powi(step as i32)), second[k] / (1.0 - 0.999f64.powi(step as i32)));
-            weights[k] += rate * m / (v.sqrt() + 1e-9);
+            weights[k] += learning_rate * m / (v.sqrt() + 1e-9);
         }
     }
     weights.iter().zip(&scale).map(|(w, s)| (w / s) as f32).collect()
@@ -250,12 +252,12 @@ fn photos(argument: &str, scene: usize) -> ExampleResult<(String, Vec<TrainingPh
             out.push(TrainingPhoto { image, objects, weight, learned: weight > 0.0, scene });
         }
     }
-    let turn = |n: usize| (n + every - skip % every.max(1)) % every.max(1);
+    let fold_of = |n: usize| (n + every - skip % every.max(1)) % every.max(1);
     let mut number = 0..;
     out.retain_mut(|photo| {
-        let turn = number.next().map_or(0, turn);
-        photo.learned &= turn == 0;
-        turn == 0 || turn == every / 2
+        let fold = number.next().map_or(0, fold_of);
+        photo.learned &= fold == 0;
+        fold == 0 || fold == every / 2
     });
     // Every folder weighs the same, however many objects it shows.
     let learned_objects: usize = out.iter().filter(|p| p.learned).map(|p| p.objects.len()).sum();
@@ -285,9 +287,52 @@ fn show(step: PromptStep, weights: &[f32]) {
     println!("    ],");
 }
 
+/// The folders of the command line: what is neither a flag nor its value.
+fn folders() -> Vec<String> {
+    let flags = ["--rounds", "--from", "--models"];
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let is_flag = |k: usize| arguments.get(k).is_some_and(|a| flags.contains(&a.as_str()));
+    let folders = arguments.iter().enumerate().filter(|(k, _)| !is_flag(*k) && (*k == 0 || !is_flag(k - 1)));
+    folders.map(|(_, folder)| folder.clone()).collect()
+}
+
+/// A photo with the training cases and the IoU per click of one of its objects.
+type SimulatedObject<'a> = (&'a TrainingPhoto, (Vec<TrainingCase>, Vec<f64>));
+
+/// Simulates the prompts for all objects, by two threads: first the photos of even number, then the others.
+fn simulate_all<'a>(provider: &Builtin, all: &'a [TrainingPhoto]) -> ExampleResult<Vec<SimulatedObject<'a>>> {
+    let halves: Vec<Result<Vec<_>, String>> = std::thread::scope(|scope| {
+        let half = |h: usize| {
+            scope.spawn(move || {
+                let mine = all.iter().enumerate().skip(h).step_by(2);
+                mine.flat_map(|(n, photo)| photo.objects.iter().map(move |o| (n, photo, o)))
+                    .map(|(n, photo, o)| {
+                        Ok((photo, simulate_prompts(provider, photo, o, n).map_err(|e| e.to_string())?))
+                    })
+                    .collect()
+            })
+        };
+        [half(0), half(1)].map(|h| h.join().unwrap_or_else(|_| Err("a thread panicked".into()))).into()
+    });
+    let halves = halves.into_iter().collect::<Result<Vec<_>, String>>()?;
+    Ok(halves.into_iter().flatten().collect())
+}
+
+/// Prints the mean IoU after each click, per scene, of the objects learned from and of the others.
+fn report(round: usize, names: &[String], ious: &BTreeMap<(usize, bool), Vec<Vec<f64>>>) {
+    for ((scene, learned), rows) in ious {
+        let after = |k: usize| {
+            let last = |r: &Vec<f64>| r.get(k).or(r.last()).copied().unwrap_or(0.0);
+            format!("{:.3}", mean(&rows.iter().map(last).collect::<Vec<_>>()))
+        };
+        let text: Vec<String> = (0..CLICKS).map(after).collect();
+        let kind = if *learned { "learned" } else { "unseen" };
+        println!("round {round}: {} {kind} ({}): {}", names[*scene], rows.len(), text.join(" "));
+    }
+}
+
 fn main() -> ExampleResult<()> {
     let rounds: usize = option("--rounds").map_or(Ok(3), |t| t.parse())?;
-    let flags = ["--rounds", "--from", "--models"];
     let edges = match option("--models") {
         Some(models) => {
             let file = Path::new(&models).join("edges_bsds.onnx");
@@ -295,12 +340,9 @@ fn main() -> ExampleResult<()> {
         }
         None => None,
     };
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let is_flag = |k: usize| arguments.get(k).is_some_and(|a| flags.contains(&a.as_str()));
-    let folders = arguments.iter().enumerate().filter(|(k, _)| !is_flag(*k) && (*k == 0 || !is_flag(k - 1)));
     let (mut names, mut all) = (Vec::new(), Vec::new());
-    for (_, folder) in folders {
-        let (name, photos) = photos(folder, names.len())?;
+    for folder in folders() {
+        let (name, photos) = photos(&folder, names.len())?;
         names.push(name);
         all.extend(photos);
     }
@@ -311,49 +353,27 @@ fn main() -> ExampleResult<()> {
     }
     let mut cases: Vec<TrainingCase> = Vec::new();
     for round in 0..=rounds {
-        let see = match &edges {
+        let provider = match &edges {
             Some(edges) => Builtin::with_edges(edges.clone()),
             None => Builtin::new(),
         }
         .within(MEMORY)
         .weighing(weights.clone());
-        let halves: Vec<Result<Vec<_>, String>> = std::thread::scope(|scope| {
-            let half = |h: usize| {
-                let (see, all) = (&see, &all);
-                scope.spawn(move || {
-                    let mine = all.iter().enumerate().skip(h).step_by(2);
-                    mine.flat_map(|(n, photo)| photo.objects.iter().map(move |o| (n, photo, o)))
-                        .map(|(n, photo, o)| Ok((photo, play(see, photo, o, n).map_err(|e| e.to_string())?)))
-                        .collect()
-                })
-            };
-            [half(0), half(1)].map(|h| h.join().unwrap_or_else(|_| Err("a thread panicked".into()))).into()
-        });
-        let mut series: BTreeMap<(usize, bool), Vec<Vec<f64>>> = BTreeMap::new();
-        for played in halves {
-            for (photo, (new_cases, ious)) in played? {
-                if photo.learned {
-                    cases.extend(new_cases);
-                }
-                series.entry((photo.scene, photo.learned)).or_default().push(ious);
+        let mut ious: BTreeMap<(usize, bool), Vec<Vec<f64>>> = BTreeMap::new();
+        for (photo, (new_cases, iou_per_click)) in simulate_all(&provider, &all)? {
+            if photo.learned {
+                cases.extend(new_cases);
             }
+            ious.entry((photo.scene, photo.learned)).or_default().push(iou_per_click);
         }
-        for ((scene, learned), rows) in &series {
-            let after = |k: usize| {
-                let last = |r: &Vec<f64>| r.get(k).or(r.last()).copied().unwrap_or(0.0);
-                format!("{:.3}", mean(&rows.iter().map(last).collect::<Vec<_>>()))
-            };
-            let text: Vec<String> = (0..CLICKS).map(after).collect();
-            let kind = if *learned { "learned" } else { "unseen" };
-            println!("round {round}: {} {kind} ({}): {}", names[*scene], rows.len(), text.join(" "));
-        }
+        report(round, &names, &ious);
         if round < rounds {
             for step in steps {
                 let of: Vec<&TrainingCase> =
                     cases.iter().filter(|q| q.step == step && q.traits.len() > 1).collect();
                 if !of.is_empty() {
                     let start = weights.of(step).to_vec();
-                    weights.of_mut(step).copy_from_slice(&climb(&of, &start));
+                    weights.of_mut(step).copy_from_slice(&fit_weights(&of, &start));
                 }
             }
         }
