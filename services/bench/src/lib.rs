@@ -28,3 +28,4 @@ pub mod reconstruction;
 pub mod scale;
 pub mod slice;
 pub mod stability;
+pub mod studio;
