@@ -157,23 +157,34 @@ fn heading(table: &str, doc: &str) -> String {
     format!("[{table}] {}", doc.split(". ").next().unwrap_or(doc).trim_end_matches('.'))
 }
 
-/// The flag of a setting. The short help has the first sentence of what it does, the long one all of it.
+/// The flag of a setting. The short help has the first sentence of what it does and the words of a choice, the long one all of
+/// it and what each word does.
 fn setting(field: &'static Field, heading: String) -> Arg {
     let flag = field.name.replace('_', "-");
     let default = Settings::default().get(field.name).filter(|text| !text.is_empty());
     let with_default = |text: &str| match &default {
-        Some(default) => format!("{} [default: {default}]", text.trim_end_matches('.')),
-        None => text.trim_end_matches('.').to_owned(),
+        Some(default) => format!("{text} [default: {default}]"),
+        None => text.to_owned(),
     };
-    let first = field.doc.split(". ").next().unwrap_or(field.doc);
+    let first = field.doc.split(". ").next().unwrap_or(field.doc).trim_end_matches('.');
+    let explained = !field.choice_docs.is_empty();
+    let short = match explained {
+        true => with_default(&format!("{first}: {}", field.choices.join(", "))),
+        false => with_default(first),
+    };
+    let mut long = with_default(field.doc.trim_end_matches('.'));
+    for (word, doc) in field.explained_choices() {
+        long += &format!("\n- {word}: {doc}");
+    }
     let arg = Arg::new(field.name)
         .long(flag)
         .value_name(value_name(field))
         .allow_hyphen_values(true)
         .help_heading(heading)
         .hide_short_help(field.expert)
-        .help(with_default(first))
-        .long_help(with_default(field.doc));
+        .hide_possible_values(explained)
+        .help(short)
+        .long_help(long);
     match field.choices {
         [] => arg,
         // An address is meant as well.

@@ -21,7 +21,7 @@ segwild_scene::settings! {
         max_points_per_cell: u32 = 20 => 1..=100,
         /// Let the sky lower the number of prompts where it is seen, and count as one region.
         sky_prompts: bool = true,
-        /// Image that masks are made from: the render (no transients, one light) or the photo.
+        /// Image that masks are made from.
         mask_source: MaskSource = MaskSource::Render,
         /// Prompts handed to the mask provider at once; bounds memory, not quality.
         prompt_batch: u32 = 256 => 1..,

@@ -4,7 +4,7 @@ use segwild_features::FeatureSettings;
 use segwild_flow::files;
 use segwild_masks::MaskSettings;
 use segwild_poses::PoseSettings;
-use segwild_scene::settings::{Field, Group, SettingError};
+use segwild_scene::settings::{Field, Group, SettingError, Value};
 use segwild_scene::{Scene, SceneSettings, choice, settings};
 use segwild_segmenter::SegmentSettings;
 use segwild_trainer::{AppearanceModel, Preset, TrainSettings};
@@ -16,11 +16,11 @@ use std::path::{Path, PathBuf};
 choice! {
     /// The engine that renders and trains the splats.
     pub enum EngineKind {
-        /// An accelerator that is no program on the CPU, where there is one; else the CPU.
+        /// A hardware GPU if there is one, never software Vulkan; else the CPU.
         Auto = "auto",
         /// The CPU engine.
         Cpu = "cpu",
-        /// An accelerator.
+        /// A hardware GPU, or what `adapter` names; an error without it.
         Gpu = "gpu",
     }
 }
@@ -28,7 +28,7 @@ choice! {
 choice! {
     /// What happens when the accelerator fails while it computes.
     pub enum WhenLost {
-        /// The run stops, and the same command continues it.
+        /// The run stops, and the same command continues it, under `--engine cpu` too.
         Stop = "stop",
         /// The CPU engine takes over.
         Cpu = "cpu",
@@ -50,36 +50,31 @@ choice! {
 choice! {
     /// How held-out photos are scored.
     pub enum Scoring {
-        /// By the appearance model: whole photos where all share one appearance.
+        /// `plain` under the appearance model `none`, else `halves`.
         Auto = "auto",
         /// The whole photo, with no appearance fitted to it.
         Plain = "plain",
-        /// The appearance fitted on the left half, the right half scored.
+        /// The appearance fitted on the left half, the right half scored: the official protocol of unconstrained photos.
         Halves = "halves",
     }
 }
 
 settings! {
     /// The run as a whole.
-    pub struct RunSettings("run", user: preset budget engine memory_budget threads) {
+    pub struct RunSettings("run", user: preset budget engine threads) {
         /// How much time to spend. It sets the defaults of the other settings.
         preset: Preset = Preset::Standard,
-        /// Who decides steps, channels, appearance. `fixed`: the settings. `auto`: the least that suffices,
-        /// found by short trainings before the start; where `steps` is 0 and photos agree, up to eight times the
-        /// scene's own steps. What a flag or file sets stays as set.
+        /// Who decides steps, channels, appearance. What a flag or file sets stays as set.
         budget: RunBudget = RunBudget::Fixed,
         /// Compute threads; 0 takes all cores. The result does not depend on it.
         threads: u32 = 0 => 0..=256,
-        /// What computes the splats. `auto` takes an accelerator where there is one that is no program on the CPU.
+        /// What computes the splats.
         engine: EngineKind = EngineKind::Cpu,
         /// Part of the accelerator's name, where there are several; empty takes the best. `segwild doctor` lists them.
         adapter: String = String::new(),
-        /// What happens when the accelerator fails during the run. `stop` ends the run, which the same command
-        /// continues, under `--engine cpu` too; `cpu` lets the CPU engine take over.
+        /// What happens when the accelerator fails during the run.
         when_lost: WhenLost = WhenLost::Stop,
-        /// How held-out photos are scored. `halves` fits the appearance on the left half and scores the right one, the
-        /// official protocol of unconstrained photos; `plain` scores whole photos. `auto` is `plain` for the appearance
-        /// model `none` only.
+        /// How held-out photos are scored.
         scoring: Scoring = Scoring::Auto,
         /// Weights of LPIPS, the perceptual distance, as `.safetensors` (docs/guide/research.md). Held-out photos are scored by it
         /// too, and the loss may have it (`lambda_lpips`). Empty: none.
@@ -344,7 +339,11 @@ impl Settings {
                 } else {
                     toml::Value::String(value).to_string()
                 };
-                let _ = write!(text, "# {}\n{} = {quoted}\n", field.doc, field.name);
+                let _ = writeln!(text, "# {}", field.doc);
+                for (word, doc) in field.explained_choices() {
+                    let _ = writeln!(text, "#   {word}: {doc}");
+                }
+                let _ = writeln!(text, "{} = {quoted}", field.name);
             }
             text.push('\n');
         }
@@ -361,8 +360,30 @@ impl Settings {
                 let _ = write!(text, "\n## `[{table}]`\n\n{doc}\n\n{head}{}", rows.concat());
             }
         }
+        if !expert {
+            text += &presets();
+        }
         text
     }
+}
+
+/// The section of the reference on what each preset sets: the settings that are not the same under all of them.
+fn presets() -> String {
+    let words = Preset::CHOICES;
+    let defaults: Vec<Settings> =
+        words.iter().filter_map(|word| Preset::read(word).ok()).map(Settings::preset).collect();
+    let mut text = format!(
+        "\n## Presets\n\nWhat `--preset` sets. The defaults of all other settings do not depend on it.\n\n| flag | {} |\n|---|{}\n",
+        words.join(" | "),
+        "---:|".repeat(words.len())
+    );
+    for field in Settings::catalogue().into_iter().flat_map(|(_, _, fields)| fields) {
+        let values: Vec<String> = defaults.iter().filter_map(|settings| settings.get(field.name)).collect();
+        if field.name != "preset" && values.iter().any(|value| *value != values[0]) {
+            let _ = writeln!(text, "| `--{}` | {} |", field.name.replace('_', "-"), values.join(" | "));
+        }
+    }
+    text
 }
 
 /// Head of the reference's first page.
@@ -374,11 +395,13 @@ const USER_PAGE: &str = "# Settings\n\nThese are the settings that a user needs;
 const EXPERT_PAGE: &str = "# Expert settings\n\nFew scenes need these; [the others](settings.md) come first. `--help-all` \
     lists them beside the flags of a command. This page is generated: `segwild doctor --settings expert`.\n";
 
-/// The row of a setting on a page of the reference.
+/// The row of a setting on a page of the reference. Each word of a choice has a line of its own.
 fn row(field: &Field) -> String {
+    let explained: String =
+        field.explained_choices().map(|(word, doc)| format!("<br>`{word}`: {doc}")).collect();
     let choices = match field.range {
         Some(range) => format!(" ({})", range()),
-        None if field.choices.is_empty() => String::new(),
+        None if field.choices.is_empty() || !explained.is_empty() => explained,
         None => format!(" ({})", field.choices.join(", ")),
     };
     let default = match Settings::default().get(field.name).unwrap_or_default() {
@@ -446,6 +469,31 @@ mod tests {
                 assert!(seen.insert(f.name), "{} of [{table}] is the second flag of that name", f.name);
             }
         }
+    }
+
+    #[test]
+    fn every_word_of_a_choice_is_explained() {
+        for field in Settings::catalogue().into_iter().flat_map(|(_, _, fields)| fields) {
+            if field.choices != bool::CHOICES {
+                assert_eq!(field.choices.len(), field.choice_docs.len(), "{}", field.name);
+            }
+            let one_line = |doc: &&str| doc.ends_with('.') && !doc.contains(['|', '\n']);
+            assert!(field.choice_docs.iter().all(one_line), "{}: {:?}", field.name, field.choice_docs);
+        }
+        let page = Settings::to_markdown(false);
+        assert!(page.contains("How spikes are cut.<br>`axis`: Shrunk along the direction"), "{page}");
+        assert!(Settings::default().to_toml().contains("#   off: Not cut.\nspikes = \"axis\"\n"));
+    }
+
+    #[test]
+    fn the_reference_names_what_each_preset_sets() {
+        let page = Settings::to_markdown(false);
+        let (_, section) = page.split_once("## Presets").unwrap();
+        assert!(section.contains("| flag | draft | standard | best |"), "{section}");
+        for row in ["| `--effort` | 0.5 | 1 | 1.5 |", "| `--sh-degree` | 1 | 2 | 3 |"] {
+            assert!(section.contains(row), "{section}");
+        }
+        assert!(!section.contains("`--seed`"), "{section}");
     }
 
     #[test]

@@ -5,11 +5,11 @@ use segwild_scene::{choice, settings};
 choice! {
     /// Which pairs of photos are compared.
     pub enum PairChoice {
-        /// Decided by the number of photos, and by whether they are frames of a video.
+        /// `exhaustive` up to 100 photos; of more, `sequential` for the frames of a video, else `nearest`.
         Auto = "auto",
         /// Every pair.
         Exhaustive = "exhaustive",
-        /// Each photo with those most similar to it, by a vocabulary tree of the photos themselves.
+        /// Each photo with the 50 most similar to it, by a vocabulary tree of the photos themselves.
         Nearest = "nearest",
         /// Each photo with those that follow it by name, and with the most similar of the others.
         Sequential = "sequential",
@@ -31,11 +31,9 @@ choice! {
 settings! {
     /// How the poses are computed of photos that come without, or of a video. COLMAP does it.
     pub struct PoseSettings("poses") {
-        /// Which pairs of photos are compared. `exhaustive`: all. `nearest`: each photo with the 50 most similar.
-        /// `sequential`: each with those that follow it, as in a video. `auto`: all pairs of up to 100 photos, of more the
-        /// nearest, of a video's frames sequential.
+        /// Which pairs of photos are compared.
         pair_choice: PairChoice = PairChoice::Auto,
-        /// Which photos share one lens. `auto`: those of one camera at one focal length and size, as EXIF data say.
+        /// Which photos share one lens.
         camera_sharing: CameraSharing = CameraSharing::Auto,
         /// Long side in pixels to which photos are scaled down for finding features; less where memory is short.
         pose_photo_size: u32 = 3200 => 320..=16_384,

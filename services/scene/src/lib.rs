@@ -103,11 +103,11 @@ pub const NEAR: f32 = 0.01;
 choice! {
     /// What the transparent part of a photo says.
     pub enum Alpha {
-        /// Decided by what most photos look like.
+        /// `empty` where most photos are cut-outs, else `ignore`.
         Auto = "auto",
         /// Nothing: it is left out.
         Ignore = "ignore",
-        /// Nothing of the scene stands there.
+        /// Nothing of the scene stands there, as in cut-outs of an object.
         Empty = "empty",
     }
 }
@@ -124,7 +124,7 @@ pub enum HoldOut {
 }
 
 impl settings::Value for HoldOut {
-    const KIND: &'static str = "N|auto|none";
+    const KIND: &'static str = "N|WORD";
     fn read(text: &str) -> Result<Self, settings::ValueError> {
         match text {
             "auto" => Ok(HoldOut::Auto),
@@ -180,7 +180,7 @@ impl<'de> serde::Deserialize<'de> for HoldOut {
 
 settings! {
     /// Where the photos and the reconstruction of a scene are, and how they are read.
-    pub struct SceneSettings("scene", user: images ignore keep_masks transient_masks split hold_out size) {
+    pub struct SceneSettings("scene", user: images ignore transient_masks hold_out size) {
         /// Folder of the photos. Empty: found automatically.
         images: String = String::new(),
         /// Folder of masks of what to ignore; white is ignored. Each is named as its photo (a/b.png or a/b.jpg.png for
@@ -189,8 +189,8 @@ settings! {
         /// Folder of masks of what to keep; white is kept. Named as for `ignore`. Empty: the scene's own folder
         /// `masks`, if there is one; none: no masks.
         keep_masks: String = String::new(),
-        /// Folder of transient masks corrected by hand; white is transient. Named as for `ignore`; of such a photo
-        /// exactly that is left out. Empty: those changed in the run's own folder `transients`.
+        /// Folder of transient masks corrected by hand; white is transient. Named as for `ignore`. In these photos only the
+        /// white pixels are left out. Empty: those changed in the run's own folder `transients`.
         transient_masks: String = String::new(),
         /// File that says which photos are held out. A table of Photo Tourism (.tsv), a split.json, or a list
         /// (test_list.txt). Empty: found automatically in the scene's folder; none: no split.
@@ -201,8 +201,7 @@ settings! {
         hold_out: HoldOut = HoldOut::Auto,
         /// Long side in pixels to which photos are scaled down.
         size: u32 = 640 => 16..=16_384,
-        /// What the transparent part of a photo says: `ignore` = nothing, `empty` = that nothing of the scene stands there, as in
-        /// cut-outs of an object; `auto` = empty where most photos are cut-outs.
+        /// What the transparent part of a photo says.
         alpha: Alpha = Alpha::Auto,
         /// File of splats that another program trained from these photos. They are kept as they are, in place of a training;
         /// `segwild import` sets it. Empty: none.

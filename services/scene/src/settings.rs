@@ -30,10 +30,19 @@ pub struct Field {
     pub kind: &'static str,
     /// The accepted words, if it is a choice.
     pub choices: &'static [&'static str],
+    /// What each of these words does, in their order; empty where they speak for themselves.
+    pub choice_docs: &'static [&'static str],
     /// The accepted range, if not every number: `0 to 3`, `1 or more`.
     pub range: Option<fn() -> String>,
     /// Whether most users never need it: it is left out of the short help and stands on the second page of the reference.
     pub expert: bool,
+}
+
+impl Field {
+    /// The accepted words with what each does; none where they speak for themselves.
+    pub fn explained_choices(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
+        self.choices.iter().copied().zip(self.choice_docs.iter().copied())
+    }
 }
 
 /// Whether a list of names holds one; at compile time, for [`settings!`](crate::settings!).
@@ -139,6 +148,8 @@ pub trait Value: Sized + Display {
     const KIND: &'static str;
     /// The words accepted, if it is a choice.
     const CHOICES: &'static [&'static str] = &[];
+    /// What each of them does, in their order.
+    const CHOICE_DOCS: &'static [&'static str] = &[];
     /// Reads the text a person typed.
     fn read(text: &str) -> Result<Self, ValueError>;
 }
@@ -214,6 +225,7 @@ macro_rules! settings {
                 doc: concat!($($fdoc,)+).trim_ascii_start(),
                 kind: <$ty as $crate::settings::Value>::KIND,
                 choices: <$ty as $crate::settings::Value>::CHOICES,
+                choice_docs: <$ty as $crate::settings::Value>::CHOICE_DOCS,
                 range: $crate::settings!(@range $ty $(=> $range)?),
                 expert: !$crate::settings::holds(Self::USER, stringify!($field)),
             },)*];
@@ -255,13 +267,14 @@ macro_rules! settings {
 /// }
 /// use segwild_scene::settings::Value;
 /// assert!(matches!(LookKind::read("affine"), Ok(LookKind::Affine)));
+/// assert_eq!(LookKind::CHOICE_DOCS, ["No appearance model.", "A colour matrix per photo."]);
 /// ```
 #[macro_export]
 macro_rules! choice {
-    ($(#[$doc:meta])+ pub enum $name:ident { $($(#[$vdoc:meta])+ $variant:ident = $word:literal),+ $(,)? }) => {
+    ($(#[$doc:meta])+ pub enum $name:ident { $($(#[doc = $vdoc:literal])+ $variant:ident = $word:literal),+ $(,)? }) => {
         $(#[$doc])+
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
-        pub enum $name { $($(#[$vdoc])+ #[serde(rename = $word)] $variant,)+ }
+        pub enum $name { $($(#[doc = $vdoc])+ #[serde(rename = $word)] $variant,)+ }
 
         impl std::fmt::Display for $name {
             fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -272,6 +285,7 @@ macro_rules! choice {
         impl $crate::settings::Value for $name {
             const KIND: &'static str = "WORD";
             const CHOICES: &'static [&'static str] = &[$($word),+];
+            const CHOICE_DOCS: &'static [&'static str] = &[$(concat!($($vdoc),+).trim_ascii_start()),+];
             fn read(text: &str) -> Result<Self, $crate::settings::ValueError> {
                 match text {
                     $($word => Ok(Self::$variant),)+

@@ -91,7 +91,7 @@ segwild_scene::settings! {
     pub struct SegmentSettings("segment", user: alternative propagate spikes object_appearance) {
         /// What the first answer to clicks comes from.
         first_answer: FirstAnswer = FirstAnswer::Tree,
-        /// Which meaning of the clicks is selected: the answer lists them.
+        /// Which of the listed alternatives is selected.
         alternative: u32 = 0 => 0..=2,
         /// Least fused cosine similarity to the positive clicks, in [-1, 1] (paper, Eq. 28).
         tau: f32 = 0.5 => -1.0..=1.0,
@@ -150,8 +150,7 @@ segwild_scene::settings! {
         spikes: SpikeMode = SpikeMode::Axis,
         /// Whose masks cut them.
         cut_by: CutBy = CutBy::PhotoRefiner,
-        /// Photo whose appearance the exported object has; empty for the scene's own. It holds for `object.ply` and
-        /// `labels.ply`.
+        /// Photo whose appearance the exported object has. Empty: the scene's own. It holds for `object.ply` and `labels.ply`.
         object_appearance: String = String::new(),
     }
 }

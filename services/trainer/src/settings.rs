@@ -54,12 +54,13 @@ segwild_scene::choice! {
 segwild_scene::settings! {
     /// Training of the splats. Schedules are fractions of `steps`, so any number of steps is a whole training.
     pub struct TrainSettings("train", user: steps effort splats appearance_model seed) {
-        /// Optimiser steps, one photo each; 0 lets the scene decide. That is 200 times the square root of its photos, and 250
+        /// Training steps, a photo each; 0 lets the scene decide. That is 200 times the square root of its photos, and 250
         /// times where they are of one light.
         steps: u32 = 0 => 0..=10_000_000,
         /// Factor on the steps that the scene decides. More than 2 overfits the photos.
         effort: f32 = 1.0 => 0.01..=100.0,
-        /// Most splats; 0 lets the scene decide. It counts photos, pixels, sky and points.
+        /// Most splats; 0 lets the scene decide. That is 16 times the square root of all photos' pixels, and 20 times where they
+        /// are of one light, less the share of the sky: between 2000 and 200000, and no fewer than points, up to 20000 of them.
         splats: usize = 0,
         /// Share of the most splats allowed that start from points: the reconstruction's, and between them points that photos
         /// agree on when they are compared with one another (stereo). 0: the reconstruction's alone.
@@ -79,7 +80,7 @@ segwild_scene::settings! {
         /// Short trainings on small photos that find initial transients before the training itself: each leaves out a
         /// part of the photos and marks the pixels in them that contradict it. 0 or 2 and more.
         cross_checks: u32 = 2 => 0..=8,
-        /// Seed of everything random; the same seed gives the same bytes.
+        /// Seed of everything random. The same seed gives the same bytes.
         seed: u64 = 1,
         /// Learning rate of the centres at the start, in pixels of the photo at the scene's median depth.
         lr_mean: f32 = 0.5 => 0.0..=10.0,

@@ -73,17 +73,16 @@ segwild_scene::settings! {
         /// `mobile_sam_decoder.onnx`. Empty: SEGWILD_MODELS; without that no network is used and the built-in provider
         /// does everything. It is never read from a run folder.
         models: String = String::new(),
-        /// Where boundaries come from: auto, builtin or network.
+        /// Where boundaries come from.
         edges: EdgeChoice = EdgeChoice::Auto,
         /// How the sky is found.
         sky: SkyChoice = SkyChoice::Auto,
-        /// Network file whose persons and vehicles are transients from the start. It answers the classes of Cityscapes
+        /// Network whose persons and vehicles are transients from the start. The file answers the classes of Cityscapes
         /// (such as `deeplab_cityscapes_513.onnx`). Empty: none. It is never read from a run folder.
         transient_network: String = String::new(),
-        /// What finds masks: auto, builtin, sam, service or an address. It answers clicks as well. `auto`: a vision service if one
-        /// is named, else SAM if its files are there. An address `grpc://HOST:PORT` is short for `vision_service` and `service`.
+        /// What finds masks. It answers clicks as well. An address `grpc://HOST:PORT` is short for `vision_service` and `service`.
         masks: ModelChoice = ModelChoice::Auto,
-        /// What describes photos for the feature field: auto (as for `masks`), builtin, sam or service.
+        /// What describes photos for the feature field.
         embedder: ModelChoice = ModelChoice::Auto,
         /// Vision services that have the models, with commas between. Each is `grpc://HOST:PORT`: `segwild vision serve` on another
         /// machine, or a server of your own; all have the same models. Empty: none. It is never read from a run folder.
@@ -94,7 +93,7 @@ segwild_scene::settings! {
         vision_patience: u32 = 120 => 1..,
         /// Stem of the names of SAM's files (`mobile_sam`, `sam_vit_b`, ..). Empty: the first that is there, lightest first.
         sam: String = String::new(),
-        /// Where SAM computes: auto (CUDA where the ONNX Runtime has it), cpu or cuda.
+        /// Where SAM computes.
         network_device: DeviceChoice = DeviceChoice::Auto,
         /// How far SAM's threshold moves, up and down, to tell how stable a mask is (in logits).
         stability_offset: f32 = 1.0 => 0.0..=100.0,
