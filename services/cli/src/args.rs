@@ -16,7 +16,7 @@ pub fn examples(first: &str, second: &str) -> String {
 
 /// The run folder.
 pub fn run() -> Arg {
-    Arg::new("run").required(true).value_parser(value_parser!(PathBuf)).help("Run folder")
+    Arg::new("run").required(true).value_name("RUN").value_parser(value_parser!(PathBuf)).help("Run folder")
 }
 
 /// A flag that takes a number.
@@ -53,7 +53,7 @@ pub fn positions(id: &'static str, form: &'static str, help: &'static str) -> Ar
     Arg::new(id).long(id).value_name(form).action(ArgAction::Append).allow_hyphen_values(true).help(help)
 }
 
-/// Which appearance, for the scene and for the selection.
+/// Which appearance, for the scene and for the selection, under a heading of their own.
 pub fn appearances(default: &str) -> [Arg; 6] {
     let appearance = |id: &'static str, help: String| {
         Arg::new(id).long(id).value_name("PHOTO").action(ArgAction::Append).help(help)
@@ -61,7 +61,7 @@ pub fn appearances(default: &str) -> [Arg; 6] {
     let strength = |id: &'static str, help| {
         Arg::new(id).long(id).value_name("X").value_parser(value_parser!(f32)).default_value("1").help(help)
     };
-    [
+    let all = [
         appearance(
             "appearance",
             format!(
@@ -80,17 +80,23 @@ pub fn appearances(default: &str) -> [Arg; 6] {
             .value_name("T")
             .value_parser(value_parser!(f32))
             .help("Interpolate the appearances given: 0 is the first, 1 the last"),
-    ]
+    ];
+    under("Appearance", all)
 }
 
-/// `--selection` of commands that show or write one.
+/// Arguments under one heading of the help.
+pub fn under<const N: usize>(heading: &'static str, args: [Arg; N]) -> [Arg; N] {
+    args.map(|arg| arg.help_heading(heading))
+}
+
+/// `--selection` of commands that render, write or score one.
 pub fn selection(help: &'static str) -> Arg {
     Arg::new("selection").long("selection").value_name("NAME").help(help)
 }
 
 /// A flag that takes a word out of a few.
 pub fn choice<const N: usize>(name: &'static str, words: [&'static str; N], help: &'static str) -> Arg {
-    Arg::new(name).long(name).value_parser(words).help(help)
+    Arg::new(name).long(name).value_name("WORD").value_parser(words).help(help)
 }
 
 /// A flag without a value.

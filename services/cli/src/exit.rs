@@ -46,9 +46,9 @@ pub const HELP: &str = "Exit codes:
   1    failed unexpectedly
   2    the command line or a settings file does not make sense
   3    the scene, the photos or another input cannot be used
-  4    a stage failed, or scenes of a batch were given up; what was computed is kept, the same command continues
+  4    a stage failed, or scenes of a batch were given up; the same command continues
   5    the prompts select nothing
   6    the run folder is in use, not writable, or damaged
   7    `bench compare --fail` found something worse
-  8    the system has no file descriptors or processes left; what was computed is kept, the same command continues
+  8    the system has no file descriptors or processes left; the same command continues
   130  stopped by you; the same command continues";

@@ -1,7 +1,7 @@
 //! `segwild bake`
 
 use super::render::{appearance, object_appearance};
-use crate::args::{self, appearances, choice, examples, json, path_of, selection};
+use crate::args::{self, appearances, choice, examples, json, path_of, selection, under};
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
 use crate::progress::stop_on_ctrl_c;
@@ -11,18 +11,27 @@ use segwild_pipeline::{BakeRequest, RunFolder, ScenePart};
 
 /// The command's arguments.
 pub fn command() -> Command {
+    let selected = [
+        selection("The selection to write"),
+        choice(
+            "mode",
+            ["only", "without", "scene"],
+            "What is written [default: only with --selection; scene otherwise, and with --object-appearance]",
+        ),
+    ];
+    let output = [
+        args::path(
+            "out",
+            "The file: .ply, .spz, .glb; .compressed.ply, .sog, .html by splat-transform [default: RUN/baked.ply]",
+        ),
+        json(),
+    ];
     Command::new("bake")
         .about("Write splats with an appearance for any viewer: the scene or a selection")
         .arg(args::run())
         .args(appearances("scene's own"))
-        .arg(selection("The selection to write"))
-        .arg(choice(
-            "mode",
-            ["only", "without", "scene"],
-            "What is written [default: only with --selection; scene otherwise, and with --object-appearance]",
-        ))
-        .arg(args::path("out", "The file: .ply, .spz, .glb; .compressed.ply, .sog, .html by splat-transform [default: RUN/baked.ply]"))
-        .arg(json())
+        .args(under("Selection", selected))
+        .args(under("Output", output))
         .after_help(examples(
             "segwild bake runs/trevi --appearance sunset.jpg --out trevi.ply",
             "segwild bake runs/trevi --selection oceanus --appearance none --out oceanus.spz",

@@ -11,7 +11,13 @@ use std::path::Path;
 pub fn command() -> Command {
     Command::new("completions")
         .about("Print the completions of a shell")
-        .arg(Arg::new("shell").required(true).value_parser(value_parser!(Shell)).help("The shell"))
+        .arg(
+            Arg::new("shell")
+                .required(true)
+                .value_name("SHELL")
+                .value_parser(value_parser!(Shell))
+                .help("The shell"),
+        )
         .after_help(examples(
             "segwild completions bash > ~/.local/share/bash-completion/completions/segwild",
             "segwild completions zsh > ~/.zfunc/_segwild",

@@ -19,6 +19,7 @@ pub fn command() -> Command {
         .arg(
             Arg::new("settings")
                 .long("settings")
+                .value_name("WORD")
                 .value_parser(["user", "expert"])
                 .num_args(0..=1)
                 .default_missing_value("user")

@@ -22,50 +22,88 @@ mod worker;
 
 use crate::failure::Failure;
 use clap::{Arg, ArgAction, ArgMatches, Command};
+use std::fmt::Write as _;
+
+/// The commands under the headings of `segwild --help`.
+fn groups() -> [(&'static str, Vec<Command>); 5] {
+    [
+        (
+            "A scene",
+            vec![
+                demo::command(),
+                run::command(),
+                import::command(),
+                serve::command(),
+                render::command(),
+                bake::command(),
+            ],
+        ),
+        ("Objects", vec![segment::command(), objects::command()]),
+        (
+            "Many scenes, and what they are doing",
+            vec![batch::command(), worker::command(), status::command(), top::command()],
+        ),
+        ("Measure", vec![eval::command(), bench::command()]),
+        (
+            "Other",
+            vec![
+                doctor::command(),
+                cache::command(),
+                vision::command(),
+                completions::command(),
+                completions::man_command(),
+            ],
+        ),
+    ]
+}
 
 /// The whole program.
 pub fn program() -> Command {
+    let groups = groups();
     let program = Command::new("segwild")
         .version(env!("CARGO_PKG_VERSION"))
         .about("From a pile of tourist photos to a 3D scene whose objects you can click")
         .subcommand_required(true)
         .arg_required_else_help(true)
-        .after_help(crate::exit::HELP)
+        .help_template(template(&groups))
+        .after_help(format!(
+            "{}\n\n{}",
+            crate::exit::HELP,
+            crate::args::examples(
+                "segwild run photos/trevi --out runs/trevi --serve --open",
+                "segwild segment runs/trevi --photo a.jpg --positive 640,420 --name oceanus",
+            )
+        ))
         .arg(
             // For tests: what goes wrong where, as `segwild_flow::fault` reads it.
             Arg::new("fault").long("fault").global(true).hide(true).action(ArgAction::Append),
         )
-        .subcommands([
-            run::command(),
-            import::command(),
-            serve::command(),
-            segment::command(),
-            objects::command(),
-            render::command(),
-            bake::command(),
-            eval::command(),
-            batch::command(),
-            worker::command(),
-            status::command(),
-            top::command(),
-            cache::command(),
-            vision::command(),
-            demo::command(),
-            doctor::command(),
-            bench::command(),
-            completions::command(),
-            completions::man_command(),
-        ]);
+        .subcommands(groups.into_iter().flat_map(|(_, commands)| commands));
     with_help(program)
 }
 
+/// The template of `segwild --help`: clap knows one list of commands only, this one is in groups.
+fn template(groups: &[(&str, Vec<Command>)]) -> String {
+    let mut text = String::from("{about-with-newline}\n{usage-heading} {usage}\n\n");
+    for (heading, commands) in groups {
+        let _ = writeln!(text, "{heading}:");
+        for command in commands {
+            let about = command.get_about().map(ToString::to_string).unwrap_or_default();
+            let _ = writeln!(text, "  {:11}  {about}", command.get_name());
+        }
+        text.push('\n');
+    }
+    text + "Options:\n{options}{after-help}"
+}
+
 /// Gives a command and those below it two helps: `--help` fits a screen, `--help-all` has the expert settings and every word
-/// on each flag.
+/// on each flag. Where both are the same, `--help-all` is not offered.
 fn with_help(command: Command) -> Command {
     let help = Arg::new("help").short('h').long("help").action(ArgAction::HelpShort).help("Print help");
     let all = Arg::new("help-all")
         .long("help-all")
         .action(ArgAction::HelpLong)
+        .hide(!has_more(&command))
         .help("Print help with all settings, those for experts included");
     command
         .disable_help_flag(true)
@@ -73,6 +111,17 @@ fn with_help(command: Command) -> Command {
         .arg(help)
         .arg(all)
         .mut_subcommands(with_help)
+}
+
+/// Whether the long help of a command has more than the short one.
+fn has_more(command: &Command) -> bool {
+    command.get_arguments().filter(|arg| !arg.is_hide_set()).any(|arg| {
+        let text = |help: Option<&clap::builder::StyledStr>| help.map(ToString::to_string);
+        let longer = arg.get_long_help().is_some() && text(arg.get_long_help()) != text(arg.get_help());
+        longer
+            || arg.is_hide_short_help_set()
+            || arg.get_possible_values().iter().any(|v| v.get_help().is_some())
+    })
 }
 
 /// Runs the command that a command line names.
@@ -161,12 +210,14 @@ mod tests {
     #[test]
     fn the_help_of_every_command_fits_a_screen_and_ends_with_two_examples() {
         for (path, command) in all_commands() {
-            if command.is_hide_set() || path == " segwild" {
+            if command.is_hide_set() {
                 continue;
             }
-            let help = command.term_width(120).render_help().to_string();
+            // As wide as clap makes it where there is no terminal.
+            let help = command.term_width(100).render_help().to_string();
             let lines = help.lines().count();
             assert!(lines <= 60, "{path}: {lines} lines\n{help}");
+            assert!(path != " segwild" || help.lines().all(|line| line.len() <= 100), "{help}");
             let (_, examples) = help.split_once("Examples:\n").unwrap_or_else(|| panic!("{path}: {help}"));
             let commands = examples.lines().map(str::trim).filter(|line| line.starts_with("segwild "));
             let commands: Vec<&str> = commands.map(|line| line.split(" > ").next().unwrap_or(line)).collect();
@@ -180,6 +231,16 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn the_help_of_the_program_lists_every_command_once() {
+        let help = program().render_help().to_string();
+        for command in program().get_subcommands() {
+            let line = format!("\n  {:11}  ", command.get_name());
+            assert_eq!(help.matches(&line).count(), 1, "{}: {help}", command.get_name());
+        }
+        assert!(help.contains("\nMeasure:\n") && help.contains("Exit codes:\n"), "{help}");
     }
 
     #[test]

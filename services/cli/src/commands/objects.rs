@@ -33,6 +33,7 @@ pub fn command() -> Command {
         .arg(
             Arg::new("format")
                 .long("format")
+                .value_name("WORD")
                 .value_parser(PossibleValuesParser::new(ExportFormat::choices()))
                 .default_value("ply")
                 .requires("out")
@@ -43,7 +44,7 @@ pub fn command() -> Command {
                 .long("appearance")
                 .value_name("PHOTO")
                 .requires("out")
-                .help("Write them with the appearance of this photo [default: the scene's own]"),
+                .help("Use this photo's appearance [default: the scene's own]"),
         )
         .arg(json())
         .after_help(examples(

@@ -7,8 +7,8 @@ use std::fmt::Write as _;
 pub fn markdown(mut program: Command) -> String {
     program.build();
     let mut text = String::from(
-        "# Commands\n\nEvery command with the flags of its own. Settings are flags as well, of `run`, `segment`, `eval`, `demo` and the \
-         benchmarks: see [settings](settings.md) and [expert settings](expert-settings.md). `--help` of a command has examples. This page \
+        "# Commands\n\nEvery command with the flags of its own. Settings are flags as well, of `run`, `import`, `segment`, \
+         `serve`, `vision serve` and the benchmarks that train: see [settings](settings.md) and [expert settings](expert-settings.md). `--help` of a command has examples. This page \
          is generated: `segwild doctor --commands`.\n",
     );
     program.get_subcommands().for_each(|command| section(command, "segwild", &mut text));
@@ -54,8 +54,8 @@ fn section(command: &Command, above: &str, text: &mut String) {
 fn is_own(arg: &Arg) -> bool {
     let id = arg.get_id().as_str();
     let help = ["help", "help-all", "version"].contains(&id);
-    // Settings stand under the headings of their groups.
-    !arg.is_hide_set() && !help && arg.get_help_heading().is_none()
+    // Settings stand under the headings of their tables.
+    !arg.is_hide_set() && !help && !arg.get_help_heading().is_some_and(|heading| heading.starts_with('['))
 }
 
 /// An argument as it is written.
@@ -65,13 +65,7 @@ fn written(arg: &Arg) -> String {
     match arg.get_long() {
         Some(long) if arg.get_action().takes_values() => format!("--{long} {names}"),
         Some(long) => format!("--{long}"),
-        None => {
-            if names.is_empty() {
-                arg.get_id().as_str().to_uppercase()
-            } else {
-                names
-            }
-        }
+        None => names,
     }
 }
 

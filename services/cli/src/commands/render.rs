@@ -1,6 +1,6 @@
 //! `segwild render`
 
-use crate::args::{self, appearances, choice, examples, json, path_of, selection};
+use crate::args::{self, appearances, choice, examples, json, path_of, selection, under};
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
 use crate::progress::stop_on_ctrl_c;
@@ -13,52 +13,50 @@ use segwild_scene::settings::Value;
 
 /// The command's arguments.
 pub fn command() -> Command {
-    Command::new("render")
-        .about("Render views of photos, a camera path, or a video; any appearance; a selection")
-        .arg(args::run())
-        .arg(args::photos("View to render; two or more with --frames make a path [default: all]"))
-        .arg(choice(
+    let camera = [
+        args::photos("View to render; two or more with --frames make a path [default: all]"),
+        choice(
             "path",
             ["photos", "turntable", "orbit"],
             "Camera path: through the photos; around the selection alone; around it in its scene [default: photos]",
-        ))
-        .arg(
-            Arg::new("frames")
-                .long("frames")
-                .value_name("N")
-                .value_parser(value_parser!(u32).range(2..))
-                .help("Frames of the path [default: 120 around a selection]"),
+        ),
+        Arg::new("frames")
+            .long("frames")
+            .value_name("N")
+            .value_parser(value_parser!(u32).range(2..))
+            .help("Frames of the path [default: 120 around a selection]"),
+        Arg::new("fps")
+            .long("fps")
+            .value_name("N")
+            .value_parser(value_parser!(u32).range(1..=240))
+            .help("Frames per second of a video [default: 30]"),
+    ];
+    let selected = [
+        selection("Render this selection"),
+        choice(
+            "mode",
+            ["highlight", "only", "without", "scene"],
+            "How the selection is rendered [default: highlight; only on a turntable; scene with --object-appearance]",
         )
-        .arg(
-            Arg::new("fps")
-                .long("fps")
-                .value_name("N")
-                .value_parser(value_parser!(u32).range(1..=240))
-                .help("Frames per second of a video [default: 30]"),
-        )
+        .requires("selection"),
+    ];
+    let output = [
+        choice("what", ["colour", "depth", "alpha", "features"], "What is rendered").default_value("colour"),
+        Arg::new("width")
+            .long("width")
+            .value_name("PX")
+            .value_parser(value_parser!(u32).range(16..=16384))
+            .help("Long side of the images [default: as trained]"),
+        args::path("out", "Folder for the images, or a video .mp4 [default: RUN/renders]"),
+        json(),
+    ];
+    Command::new("render")
+        .about("Render views of photos, a camera path, or a video; any appearance; a selection")
+        .arg(args::run())
+        .args(under("Camera", camera))
         .args(appearances("view's own; on a path it changes from photo to photo"))
-        .arg(selection("Render this selection"))
-        .arg(
-            choice(
-                "mode",
-                ["highlight", "only", "without", "scene"],
-                "How the selection is rendered [default: highlight; only on a turntable; scene with --object-appearance]",
-            )
-            .requires("selection"),
-        )
-        .arg(
-            choice("what", ["colour", "depth", "alpha", "features"], "What is rendered")
-                .default_value("colour"),
-        )
-        .arg(
-            Arg::new("width")
-                .long("width")
-                .value_name("PX")
-                .value_parser(value_parser!(u32).range(16..=16384))
-                .help("Long side of the images [default: as trained]"),
-        )
-        .arg(args::path("out", "Folder for the images, or a video .mp4 [default: RUN/renders]"))
-        .arg(json())
+        .args(under("Selection", selected))
+        .args(under("Output", output))
         .after_help(examples(
             "segwild render runs/trevi --photo a.jpg --selection oceanus --mode only",
             "segwild render runs/trevi --selection oceanus --path turntable --out oceanus.mp4",

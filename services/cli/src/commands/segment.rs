@@ -20,9 +20,9 @@ pub fn command() -> Command {
     )
     .arg(args::run())
     .arg(args::photos("Photo of the prompts that follow; repeat for a second photo"))
-    .arg(positions("positive", "x,y", "Pixel that belongs to the object, at the photo's full size"))
-    .arg(positions("negative", "x,y", "Pixel that does not belong to it"))
-    .arg(positions("box", "x0,y0,x1,y1", "Box around the object"))
+    .arg(positions("positive", "X,Y", "Pixel that belongs to the object, at the photo's full size"))
+    .arg(positions("negative", "X,Y", "Pixel that does not belong to it"))
+    .arg(positions("box", "X0,Y0,X1,Y1", "Box around the object"))
     .arg(
         Arg::new("granularity")
             .long("granularity")

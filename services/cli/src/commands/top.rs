@@ -18,7 +18,7 @@ pub fn command() -> Command {
             .help(help)
     };
     target_args(Command::new("top"))
-        .about("Watch a run, a batch or a farm: what it does, how fast, and why things wait (q to leave)")
+        .about("Watch a run, a batch or a farm: what it does, how fast, why things wait (q leaves)")
         .after_help(crate::args::examples(
             "segwild top runs/trevi",
             "segwild top runs/night --once --columns 120",

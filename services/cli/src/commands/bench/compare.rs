@@ -11,8 +11,8 @@ use std::path::PathBuf;
 
 /// The command's arguments.
 pub fn command() -> Command {
-    let file = |name: &'static str, help: &'static str| {
-        Arg::new(name).required(true).value_parser(value_parser!(PathBuf)).help(help)
+    let file = |name: &'static str, form: &'static str, help: &'static str| {
+        Arg::new(name).required(true).value_name(form).value_parser(value_parser!(PathBuf)).help(help)
     };
     Command::new("compare")
         .about("What got better or worse between two results.json, beyond the noise")
@@ -23,8 +23,8 @@ pub fn command() -> Command {
              matters.\n\nExamples:\n  segwild bench compare before/results.json after/results.json\n  \
              segwild bench compare --fail before/results.json after/results.json",
         )
-        .arg(file("old", "Results before"))
-        .arg(file("new", "Results after"))
+        .arg(file("old", "OLD", "Results before"))
+        .arg(file("new", "NEW", "Results after"))
         .arg(
             Arg::new("fail")
                 .long("fail")

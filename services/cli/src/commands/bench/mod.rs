@@ -25,12 +25,16 @@ mod tables;
 use crate::failure::Failure;
 use clap::{ArgMatches, Command};
 
-/// The command's arguments. Without the name of a benchmark it is `synthetic`.
+/// The command's arguments. Without the name of a benchmark it is `synthetic`, whose help has its flags.
 pub fn command() -> Command {
     synthetic::with_args(Command::new("bench").about("Measure: how accurate, how fast, how stable"))
-        .after_help(crate::args::examples(
-            "segwild bench synthetic --table baselines",
-            "segwild bench chart --scene photos/trevi",
+        .mut_args(|arg| arg.hide(true))
+        .after_help(format!(
+            "Without the name of a benchmark it is `synthetic`, with its flags.\n\n{}",
+            crate::args::examples(
+                "segwild bench synthetic --table baselines",
+                "segwild bench chart --scene photos/trevi",
+            )
         ))
         .args_conflicts_with_subcommands(true)
         .subcommand(synthetic::command())

@@ -20,6 +20,7 @@ pub fn command() -> Command {
         .arg(
             Arg::new("results")
                 .required(true)
+                .value_name("RESULTS")
                 .num_args(1..)
                 .value_parser(value_parser!(PathBuf))
                 .help("Files results.json that benchmarks left"),
