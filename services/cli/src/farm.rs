@@ -17,7 +17,6 @@ pub fn engine_args(command: Command, help: &'static str) -> Command {
         .arg(
             Arg::new("farm")
                 .long("farm")
-                .alias("engine")
                 .value_name("FARM")
                 .value_parser(str::parse::<FarmAddress>)
                 .help(help),

@@ -23,14 +23,13 @@ fn wants_json(matches: &clap::ArgMatches) -> bool {
 
 /// Prints why a command line was refused, or the help that was wanted. A flag of an earlier version is answered with the
 /// present one.
-fn refused(error: &clap::Error) -> ExitCode {
-    let command = std::env::args().nth(1).unwrap_or_default();
+fn refused(error: &clap::Error, words: &[String]) -> ExitCode {
     let flag = match error.get(ContextKind::InvalidArg) {
         Some(ContextValue::String(flag)) if error.kind() == ErrorKind::UnknownArgument => flag.as_str(),
         _ => "",
     };
-    if let Some(now) = commands::renamed(&command, flag) {
-        failure::Failure::usage(format!("`{command}` has no {flag}; it is now --{now}")).tell();
+    if let Some(sentence) = commands::renamed(words, flag) {
+        failure::Failure::usage(sentence).tell();
         return ExitCode::from(exit::USAGE);
     }
     let _ = error.print();
@@ -43,9 +42,14 @@ fn main() -> ExitCode {
     // of adapters is our own (`segwild_gpu::adapters`).
     // SAFETY: no other thread runs yet.
     unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
+    let words: Vec<String> = std::env::args_os().skip(1).map(|w| w.to_string_lossy().into_owned()).collect();
+    if let Some(sentence) = commands::renamed_value(&words) {
+        failure::Failure::usage(sentence).tell();
+        return ExitCode::from(exit::USAGE);
+    }
     let matches = match commands::program().try_get_matches() {
         Ok(matches) => matches,
-        Err(error) => return refused(&error),
+        Err(error) => return refused(&error, &words),
     };
     let level = std::env::var("SEGWILD_LOG").unwrap_or_else(|_| "error".into());
     // What a person should know is an event; the log is for those who want more.

@@ -1,4 +1,4 @@
-//! What operators of a run decide: what the process may use, `--listen`, and stopping with the parent.
+//! What operators of a run decide: what the process may use, `--metrics-listen`, and stopping with the parent.
 
 use crate::exit;
 use crate::failure::Failure;
@@ -8,15 +8,13 @@ use segwild_monitor::{MonitorSource, Server, serve};
 use std::io::Read;
 use std::net::SocketAddr;
 
-/// Adds `--listen`.
-pub fn listen_args(command: Command) -> Command {
-    command.arg(
-        Arg::new("listen")
-            .long("listen")
-            .value_name("ADDR")
-            .value_parser(value_parser!(SocketAddr))
-            .help("Serve /metrics, /livez, /readyz, /api/v1/status here, as 127.0.0.1:9464"),
-    )
+/// `--metrics-listen`.
+pub fn metrics_listen() -> Arg {
+    Arg::new("metrics-listen")
+        .long("metrics-listen")
+        .value_name("ADDR")
+        .value_parser(value_parser!(SocketAddr))
+        .help("Serve /metrics, /livez, /readyz, /api/v1/status here, as 127.0.0.1:9464")
 }
 
 /// Adds what a batch tells its children.
@@ -33,7 +31,7 @@ pub fn listen(
     source: impl Into<MonitorSource>,
     per_scene: bool,
 ) -> Result<Option<Server>, Failure> {
-    let Some(address) = matches.get_one::<SocketAddr>("listen") else { return Ok(None) };
+    let Some(address) = matches.get_one::<SocketAddr>("metrics-listen") else { return Ok(None) };
     let server = serve(*address, source, per_scene)?;
     eprintln!("listening on http://{}", server.address());
     Ok(Some(server))

@@ -7,7 +7,7 @@
 //! published, and on ours (`-wild`), so that the two causes can be separated.
 //!
 //! Thresholds are those that served each baseline best where they were tuned, by the oracle's masks: `tau` of .5, .7, .8, .9,
-//! .95 and .98 on seed 3 (`segwild bench synthetic --providers oracle --seeds 3 --photos 24 --pixels 240 --kinship 0.97 --only
+//! .95 and .98 on seed 3 (`segwild bench synthetic --providers oracle --seeds 3 --photo-count 24 --pixels 240 --embedding-similarity 0.97 --only
 //! feature-3dgs,saga --change tau=..`): IoU .08, .30, .39, .23, .16, .07 of Feature 3DGS and .23, .53, .43, .24, .16, .07 of SAGA. `rho` of .3, .5 and .7 there, the
 //! bias of FlashSplat's closed form: .769, .775, .753; the minimum cut does not ask for it (.809).
 //! The built-in embedder's features spread wider than the oracle's: on photos both want less (`--change tau=0.3`; tuned on

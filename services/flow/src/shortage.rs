@@ -4,7 +4,7 @@
 use std::error::Error;
 use std::io;
 
-/// A process needs about so many open files: databases, photos read by each thread, connections of `--listen`.
+/// A process needs about so many open files: databases, photos read by each thread, connections of `--metrics-listen`.
 pub const FILES_NEEDED: u64 = 96;
 /// As far as a process raises its own limit: some systems refuse more, and none is needed.
 #[cfg(unix)]

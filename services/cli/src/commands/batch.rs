@@ -4,7 +4,7 @@ use crate::args::path_of;
 use crate::exit;
 use crate::failure::{Failure, plain};
 use crate::farm::{ReachedFarm, farm_args, reach, shown};
-use crate::operators::{have_files_to_open, listen, listen_args};
+use crate::operators::{have_files_to_open, listen, metrics_listen};
 use crate::output::{print_json, print_line};
 use crate::progress::{duration, on_ctrl_c};
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
@@ -18,40 +18,43 @@ use std::path::{Path, PathBuf};
 pub fn command() -> Command {
     let command = Command::new("batch").about("Run many scenes on this machine or a farm, unattended");
     let command = farm_args(command, "Hand the scenes to this farm and watch: nats://HOST:PORT/NAME");
-    listen_args(command.after_help(crate::args::examples(
-        "segwild batch scenes.toml --out runs/night",
-        "segwild batch scenes.toml --out runs/night --farm nats://queue:4222/night",
-    )))
-    .arg(
-        Arg::new("manifest")
-            .required(true)
-            .value_parser(value_parser!(PathBuf))
-            .help("TOML file of the scenes, their settings and priorities, and the budget"),
-    )
-    .arg(
-        Arg::new("out")
-            .long("out")
-            .value_name("PATH")
-            .value_parser(value_parser!(PathBuf))
-            .help("Batch folder [default: runs/NAME of the manifest]"),
-    )
-    .arg(crate::args::until(
-        "Every scene stops after this stage, or after training step N, whatever the manifest says",
-    ))
-    .arg(
-        Arg::new("retry-dead")
-            .long("retry-dead")
-            .action(ArgAction::SetTrue)
-            .help("Let scenes that were given up try again"),
-    )
-    .arg(
-        Arg::new("metrics-per-scene")
-            .long("metrics-per-scene")
-            .action(ArgAction::SetTrue)
-            .help("Label metrics with the scene: a time series each"),
-    )
-    .arg(crate::args::flag("no-wait", "Hand the scenes to the farm, and do not watch").requires("farm"))
-    .arg(crate::args::json())
+    command
+        .after_help(crate::args::examples(
+            "segwild batch scenes.toml --out runs/night",
+            "segwild batch scenes.toml --out runs/night --farm nats://queue:4222/night",
+        ))
+        .arg(metrics_listen())
+        .arg(
+            Arg::new("manifest")
+                .required(true)
+                .value_name("MANIFEST")
+                .value_parser(value_parser!(PathBuf))
+                .help("TOML file of the scenes, their settings and priorities, and the budget"),
+        )
+        .arg(
+            Arg::new("out")
+                .long("out")
+                .value_name("PATH")
+                .value_parser(value_parser!(PathBuf))
+                .help("Batch folder [default: runs/NAME of the manifest]"),
+        )
+        .arg(crate::args::until(
+            "Every scene stops after this stage, or after training step N, whatever the manifest says",
+        ))
+        .arg(
+            Arg::new("retry-dead")
+                .long("retry-dead")
+                .action(ArgAction::SetTrue)
+                .help("Let scenes that were given up try again"),
+        )
+        .arg(
+            Arg::new("metrics-per-scene")
+                .long("metrics-per-scene")
+                .action(ArgAction::SetTrue)
+                .help("Label metrics with the scene: a time series each"),
+        )
+        .arg(crate::args::flag("no-wait", "Hand the scenes to the farm, and do not watch").requires("farm"))
+        .arg(crate::args::json())
 }
 
 /// Runs the scenes of a manifest, or what is left of them.

@@ -150,8 +150,8 @@ pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
     }
 }
 
-/// Flags of earlier versions that are no settings: the command, the flag, and what it is called now.
-const RENAMED: [(&str, &str, &str); 13] = [
+/// Flags of earlier versions that are no settings: the command (and those below it), the flag, and what it is called now.
+const RENAMED: [(&str, &str, &str); 36] = [
     ("segment", "in", "positive"),
     ("segment", "out", "negative"),
     ("segment", "not", "negative"),
@@ -163,22 +163,88 @@ const RENAMED: [(&str, &str, &str); 13] = [
     ("bake", "between", "interpolate"),
     ("eval", "strangers", "transient-truth"),
     ("demo", "seed", "scene-seed"),
+    ("run", "listen", "metrics-listen"),
+    ("batch", "listen", "metrics-listen"),
+    ("serve", "memory-budget", "session-memory"),
+    ("batch", "engine", "farm"),
+    ("worker", "engine", "farm"),
+    ("status", "engine", "farm"),
+    ("top", "engine", "farm"),
     ("bench", "places", "scene-seeds"),
+    ("bench", "photos", "photo-count"),
+    ("bench", "photos", "photo-counts"),
+    ("bench flow", "photo-count", "photo-counts"),
+    ("bench scale", "photo-count", "photo-counts"),
+    ("bench scale", "splats", "splat-counts"),
+    ("bench scale", "pixels", "sizes"),
+    ("bench engine", "splats", "splat-counts"),
+    ("bench engine", "sizes", "frame-sizes"),
+    ("bench engine", "channels", "channel-counts"),
+    ("bench engine", "size", "pixels"),
+    ("bench farm", "scenes", "scene-count"),
+    ("bench chart", "page", "page-folder"),
+    ("bench nvos", "clicks", "scribble-clicks"),
+    ("bench", "clicks", "clicks-per-object"),
+    ("bench", "prompts", "clicks-per-object"),
     ("bench", "prompts", "clicks"),
+    ("bench", "kinship", "embedding-similarity"),
 ];
 
-/// What a flag of an earlier version of a command is called now, without its dashes; `None` where the command has neither.
-pub fn renamed(command: &str, flag: &str) -> Option<String> {
-    let flag = flag.trim_start_matches('-').split('=').next().unwrap_or_default();
-    let own = RENAMED.iter().find(|(of, before, _)| *of == command && *before == flag);
-    let now = match own {
-        Some((_, _, now)) => (*now).to_owned(),
-        None => segwild_pipeline::renamed(flag)?.replace('_', "-"),
+/// Values of earlier versions: the command (and those below it), the flag, the value or the name in a `NAME=VALUE`, and what
+/// it is called now.
+const RENAMED_VALUES: [(&str, &str, &str, &str); 3] = [
+    ("bench", "table", "rivals", "baselines"),
+    ("bench chart", "only", "look", "appearance_model"),
+    ("bench lego", "only", "told", "true-transients"),
+];
+
+/// The command that the words of a command line name, and its path below the program: `bench chart`.
+fn named(words: &[String]) -> (Command, String) {
+    let (mut command, mut path) = (program(), Vec::new());
+    for word in words {
+        let Some(inner) = command.find_subcommand(word).cloned() else { break };
+        command = inner;
+        path.push(word.as_str());
+    }
+    (command, path.join(" "))
+}
+
+/// Whether a command is another one, or below it.
+fn is_of(path: &str, command: &str) -> bool {
+    path.strip_prefix(command).is_some_and(|rest| rest.is_empty() || rest.starts_with(' '))
+}
+
+/// What is wrong with a flag that a command line's command does not have, where an earlier version had it: the sentence names
+/// the present one. `None` where the command has neither.
+pub fn renamed(words: &[String], flag: &str) -> Option<String> {
+    let before = flag.trim_start_matches('-').split('=').next().unwrap_or_default();
+    let (command, path) = named(words);
+    if path.is_empty() {
+        return None;
+    }
+    let has = |now: &str| {
+        let has = |command: &Command| command.get_arguments().any(|arg| arg.get_long() == Some(now));
+        has(&command) || command.get_subcommands().any(has)
     };
-    let has = |command: &Command| command.get_arguments().any(|arg| arg.get_long() == Some(&now));
-    let program = program();
-    let command = program.find_subcommand(command)?;
-    (has(command) || command.get_subcommands().any(has)).then_some(now)
+    let own = RENAMED.iter().filter(|(of, flag, _)| is_of(&path, of) && *flag == before);
+    let own = own.map(|(_, _, now)| (*now).to_owned()).find(|now| has(now));
+    let setting =
+        || segwild_pipeline::renamed(before).map(|now| now.replace('_', "-")).filter(|now| has(now));
+    let now = own.or_else(setting)?;
+    Some(format!("`{path}` has no --{before}; it is now --{now}"))
+}
+
+/// What is wrong with a command line that has a value of an earlier version: the sentence names the present one.
+pub fn renamed_value(words: &[String]) -> Option<String> {
+    RENAMED_VALUES.iter().find_map(|(of, flag, before, now)| {
+        let mut given = words.iter().enumerate().filter_map(|(i, word)| {
+            let rest = word.strip_prefix("--")?.strip_prefix(*flag)?;
+            if rest.is_empty() { words.get(i + 1).map(String::as_str) } else { rest.strip_prefix('=') }
+        });
+        let is_before = |part: &str| part.split('=').next().is_some_and(|name| name.trim() == *before);
+        let old = given.any(|value| value.split(',').any(is_before)) && is_of(&named(words).1, of);
+        old.then(|| format!("--{flag} has no `{before}`; it is now `{now}`"))
+    })
 }
 
 #[cfg(test)]
@@ -244,23 +310,134 @@ mod tests {
     }
 
     #[test]
+    fn the_long_help_is_offered_where_it_has_more() {
+        let offers = |command: &str| {
+            let words: Vec<String> = command.split(' ').map(str::to_owned).collect();
+            named(&words).0.render_help().to_string().contains("--help-all")
+        };
+        for command in ["run", "import", "segment", "serve", "vision serve", "bench chart"] {
+            assert!(offers(command), "{command}");
+        }
+        for command in ["", "render", "bake", "demo", "status", "cache gc", "bench", "bench scale"] {
+            assert!(!offers(command), "{command}");
+        }
+    }
+
+    #[test]
+    fn placeholders_are_in_capitals() {
+        for (path, command) in all_commands() {
+            for arg in command.get_arguments().filter(|arg| arg.get_action().takes_values()) {
+                let id = arg.get_id();
+                let hidden = arg.is_hide_set() && arg.get_value_names().is_none();
+                let names = arg.get_value_names().unwrap_or_default();
+                assert!(hidden || !names.is_empty(), "{path}: {id}");
+                assert!(
+                    names.iter().all(|name| !name.contains(char::is_lowercase)),
+                    "{path}: {id}: {names:?}"
+                );
+            }
+        }
+    }
+
+    /// Flags of which each command says in words of its own what they do there, and the one meaning that all of these have.
+    const MEANINGS: [(&str, &str); 21] = [
+        ("adapter", "part of the accelerator's name"),
+        ("appearance", "the photo whose appearance is used"),
+        ("clicks-per-object", "clicks on each object, each measured by itself"),
+        ("farm", "the address of a farm"),
+        ("insecure", "listen to other machines without a token file"),
+        ("kills", "how many processes a benchmark kills"),
+        ("listen", "the address that the command's server listens on"),
+        ("mode", "which part of the scene beside the selection"),
+        ("models", "a folder of network files"),
+        ("object-appearance", "the photo whose appearance the selected object has"),
+        ("once", "one sample, and no more"),
+        ("only", "the rows, axes or sweeps of a benchmark that are measured"),
+        ("out", "where the command writes"),
+        ("page", "the file that the page is written to"),
+        ("photo", "a photo of the scene"),
+        ("photo-counts", "numbers of photos, of which each is measured"),
+        ("scenes", "the scenes of a benchmark, by their names"),
+        ("seeds", "the seeds of a benchmark, of which each is measured"),
+        ("selection", "the selection that the command is about"),
+        ("splat-counts", "numbers of splats, of which each is measured"),
+        ("until", "the stage or step after which runs stop"),
+    ];
+
+    #[test]
     fn a_flag_has_one_meaning_whichever_command_has_it() {
         let mut forms: BTreeMap<String, String> = BTreeMap::new();
-        let mut twice = Vec::new();
+        let mut texts: BTreeMap<String, BTreeMap<String, String>> = BTreeMap::new();
+        let mut wrong = Vec::new();
         for (path, command) in all_commands() {
             for arg in command.get_arguments().filter(|arg| arg.get_long().is_some() && !arg.is_hide_set()) {
                 let form = arg.get_value_names().map_or(String::new(), |names| names.join(" "));
-                // A benchmark measures at each number of a list.
-                let form = if form == "LIST" { "N".to_owned() } else { form };
                 let long = arg.get_long().unwrap_or_default().to_owned();
                 let first = forms.entry(long.clone()).or_insert_with(|| form.clone());
                 if *first != form {
-                    twice.push(format!("--{long} takes {first} and, in{path}, {form}"));
+                    wrong.push(format!("--{long} takes {first} and, in{path}, {form}"));
                 }
+                let text = arg.get_help().map(ToString::to_string).unwrap_or_default();
+                let text = text.split(" [default").next().unwrap_or_default().to_owned();
+                texts.entry(long).or_default().entry(text).or_insert_with(|| path.clone());
             }
         }
-        assert!(twice.is_empty(), "{twice:#?}");
+        for (long, texts) in &texts {
+            let listed = MEANINGS.iter().any(|(flag, _)| flag == long);
+            if listed != (texts.len() > 1) {
+                wrong.push(format!("--{long}, on the list: {listed}, has the texts {texts:#?}"));
+            }
+        }
+        assert!(wrong.is_empty(), "{wrong:#?}");
+        assert!(MEANINGS.iter().all(|(flag, _)| texts.contains_key(*flag)));
         assert!(forms.len() > 100, "{}", forms.len());
+    }
+
+    #[test]
+    fn a_flag_of_an_earlier_version_names_the_present_one() {
+        let all: Vec<(String, Command)> = all_commands()
+            .into_iter()
+            .map(|(path, command)| (path.trim_start_matches(" segwild").trim().to_owned(), command))
+            .collect();
+        for (of, before, now) in RENAMED {
+            let refuses = |(path, command): &(String, Command)| {
+                let words: Vec<String> = path.split(' ').map(str::to_owned).collect();
+                let sentence = renamed(&words, &format!("--{before}"));
+                let gone = command.get_arguments().all(|arg| arg.get_long() != Some(before));
+                is_of(path, of) && gone && sentence.is_some_and(|s| s.ends_with(&format!("is now --{now}")))
+            };
+            assert!(all.iter().any(refuses), "{of} --{before}: --{now}");
+        }
+        let words = ["bench", "scale", "--photos", "10,100"].map(str::to_owned);
+        let sentence = renamed(&words, "--photos");
+        assert_eq!(sentence.as_deref(), Some("`bench scale` has no --photos; it is now --photo-counts"));
+        assert_eq!(renamed(&words, "--strange"), None);
+    }
+
+    #[test]
+    fn a_value_of_an_earlier_version_names_the_present_one() {
+        let refused = |line: &str| {
+            let words: Vec<String> = line.split(' ').map(str::to_owned).collect();
+            renamed_value(&words)
+        };
+        for (line, now) in [
+            ("bench --table rivals", "baselines"),
+            ("bench folder photos --table=rivals", "baselines"),
+            ("bench chart --only steps=1,look=none", "appearance_model"),
+            ("bench chart --only look", "appearance_model"),
+            ("bench lego --only told,full", "true-transients"),
+        ] {
+            let sentence = refused(line).unwrap_or_else(|| panic!("{line}"));
+            assert!(sentence.ends_with(&format!("it is now `{now}`")), "{sentence}");
+        }
+        for line in [
+            "bench chart --only appearance_model=none",
+            "bench --table baselines",
+            "bench folder photos --only told",
+            "bench chart --only",
+        ] {
+            assert_eq!(refused(line), None, "{line}");
+        }
     }
 
     #[test]

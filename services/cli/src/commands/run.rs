@@ -4,7 +4,7 @@ use super::serve::{page_of_run, serve_args, stay};
 use crate::args::{self, examples, flag, json, path_of, until, with_settings};
 use crate::failure::Failure;
 use crate::operators::{
-    child_args, have_files_to_open, keep_to_cores, listen, listen_args, stop_with_parent, use_threads,
+    child_args, have_files_to_open, keep_to_cores, listen, metrics_listen, stop_with_parent, use_threads,
 };
 use crate::output::{print_json, print_line};
 use crate::progress::{duration, show, stop_on_ctrl_c};
@@ -25,13 +25,15 @@ const PAGE_CHECKPOINTS: u32 = 4;
 /// The command's arguments.
 pub fn command() -> Command {
     let scene = Arg::new("scene")
+        .value_name("SCENE")
         .required_unless_present("graph")
         .value_parser(value_parser!(PathBuf))
         .help("Folder of photos, COLMAP or Photo Tourism folder, folder with transforms.json, or video");
-    child_args(listen_args(serve_args(with_settings(
+    child_args(serve_args(with_settings(
         Command::new("run").about("Train a scene: geometry, appearance, masks, features, report"),
-    ))))
+    )))
     .arg(scene)
+    .arg(metrics_listen().hide_short_help(true))
     .arg(args::path("out", "Run folder [default: runs/NAME]"))
     .arg(args::path("config", "Settings file [default: segwild.toml in the run folder, if there]"))
     .arg(until("Stop after this stage or training step; a later one goes on from there"))
@@ -44,6 +46,7 @@ pub fn command() -> Command {
             .default_missing_value("mermaid")
             .value_parser(PossibleValuesParser::new(DiagramFormat::CHOICES))
             .requires("explain")
+            .hide_short_help(true)
             .help("With --explain: print the graph of stages"),
     )
     .arg(json())

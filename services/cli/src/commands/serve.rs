@@ -43,8 +43,12 @@ pub fn command() -> Command {
             "Read the token that clients need from this file; it is made where it is missing",
         ))
         .arg(
-            number("memory-budget", "2048", "MiB that open runs may take: those used longest ago are closed")
-                .value_parser(value_parser!(u32).range(1..)),
+            number(
+                "session-memory",
+                "2048",
+                "MiB that open runs may take: those used longest ago are closed",
+            )
+            .value_parser(value_parser!(u32).range(1..)),
         )
         .arg(flag("insecure", "Listen to other machines without a token file: a new token at every start"))
         .arg(flag("open", "Open the page in the browser"))
@@ -95,7 +99,7 @@ pub fn serve(matches: &ArgMatches) -> Result<(), Failure> {
 pub fn serve_args(command: Command) -> Command {
     command
         .arg(flag("serve", "Open the page as well: it follows the training, and stays until Ctrl-C"))
-        .arg(flag("open", "Open the page in the browser").requires("serve").hide_short_help(true))
+        .arg(flag("open", "Open the page in the browser").requires("serve"))
 }
 
 /// The page of a run that is about to start, if it was asked for.
@@ -146,7 +150,7 @@ fn page(folder: &Path, listen: Option<SocketAddr>, matches: &ArgMatches) -> Resu
     let token =
         token_for(address, matches, "for a token that only this terminal shows; HTTP is not encrypted")?;
     let code = Code::given(&args::given(matches));
-    let mib = *matches.get_one::<u32>("memory-budget").expect("it has a default") as usize;
+    let mib = *matches.get_one::<u32>("session-memory").expect("it has a default") as usize;
     let options = ServeOptions { address, token, memory_budget: mib << 20, program: own_program(), code };
     Ok(if listen.is_some() { serve_page(folder, options)? } else { on_loopback(folder, options)? })
 }

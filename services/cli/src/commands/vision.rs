@@ -25,13 +25,13 @@ pub fn command() -> Command {
                 .long("listen")
                 .value_name("ADDR")
                 .value_parser(value_parser!(SocketAddr))
-                .help("Serve here [default: 127.0.0.1:50051]"),
+                .help("Serve the models here [default: 127.0.0.1:50051]"),
         )
         .arg(args::path(
             "token-file",
             "Read the token that clients need from this file; it is made where it is missing",
         ))
-        .arg(flag("insecure", "Listen to other machines without a token"))
+        .arg(flag("insecure", "Listen to other machines without a token file: everybody is let in"))
         .arg(
             number("parallel", "1", "Calls that are computed at the same time")
                 .value_parser(value_parser!(u16).range(1..=256)),

@@ -68,8 +68,17 @@ fn the_accelerators_speed_is_measured_or_its_absence_reported() {
     let page = dir.path().join("engine.md");
     let shown = show(&page);
     let bench = |adapter| {
-        let small = ["bench", "engine", "--splats", "300", "--sizes", "48x32", "--channels", "3,20"];
-        let goal = ["--db", "6", "--size", "48"];
+        let small = [
+            "bench",
+            "engine",
+            "--splat-counts",
+            "300",
+            "--frame-sizes",
+            "48x32",
+            "--channel-counts",
+            "3,20",
+        ];
+        let goal = ["--db", "6", "--pixels", "48"];
         [&small[..], &goal, &["--page", shown.as_str(), "--adapter", adapter]].concat()
     };
     refuses(&bench("no such thing"), 2, &["accelerator"]);

@@ -1,4 +1,4 @@
-//! The program as a person meets it: whole runs on a small synthetic place, and every kind of bad input, with the
+//! The program as a person meets it: whole runs on a small synthetic scene, and every kind of bad input, with the
 //! sentence and the exit code that were promised.
 
 use crate::common::*;
@@ -309,7 +309,7 @@ fn the_pages_of_settings_and_commands_are_up_to_date() {
 }
 
 #[test]
-fn a_flag_of_an_earlier_version_is_refused_with_the_present_one() {
+fn flags_and_values_of_an_earlier_version_are_refused_with_the_present_ones() {
     for (args, now) in [
         (&["run", "scene", "--look", "embed"][..], "--appearance-model"),
         (&["run", "scene", "--strangers", "masks"], "--transient-masks"),
@@ -318,9 +318,18 @@ fn a_flag_of_an_earlier_version_is_refused_with_the_present_one() {
         (&["render", "run", "--look", "a"], "--appearance"),
         (&["bake", "run", "--between", "0.5"], "--interpolate"),
         (&["eval", "run", "--strangers", "masks"], "--transient-truth"),
+        (&["run", "scene", "--listen", "127.0.0.1:0"], "--metrics-listen"),
+        (&["serve", "runs", "--memory-budget", "512"], "--session-memory"),
+        (&["worker", "--engine", "nats://queue/night"], "--farm"),
+        (&["bench", "--photos", "24"], "--photo-count"),
+        (&["bench", "flow", "--photos=10,100"], "--photo-counts"),
+        (&["bench", "clicks", "photos", "--clicks", "8"], "--clicks-per-object"),
     ] {
         refuses(args, 2, &[&format!("it is now {now}")]);
     }
+    refuses(&["bench", "--table", "rivals"], 2, &["it is now `baselines`"]);
+    let point = ["bench", "chart", "--only", "steps=1,look=none"];
+    refuses(&point, 2, &["it is now `appearance_model`"]);
     let dir = folder();
     let file = dir.path().join("old.toml");
     std::fs::write(&file, "[train]\nlook = \"embed\"\n").expect("it is written");
@@ -385,7 +394,7 @@ fn the_graph_of_the_stages_is_printed_without_a_scene() {
     );
     let dot = works(&["run", "--explain", "--graph", "dot"]);
     assert!(dot.starts_with("digraph run {\n") && dot.trim_end().ends_with('}'), "{dot}");
-    for (args, words) in [(&["run", "--graph"][..], "--explain"), (&["run"], "<scene>")] {
+    for (args, words) in [(&["run", "--graph"][..], "--explain"), (&["run"], "<SCENE>")] {
         let output = segwild(args);
         assert_eq!(output.status.code(), Some(2), "{args:?}");
         assert!(text(&output.stderr).contains(words), "{}", text(&output.stderr));

@@ -1,4 +1,4 @@
-//! Crowds at `--listen`, and processes that may open few files: work goes on, or says what it lacks and loses nothing.
+//! Crowds at `--metrics-listen`, and processes that may open few files: work goes on, or says what it lacks and loses nothing.
 #![cfg(unix)]
 
 use crate::common::*;
@@ -42,7 +42,7 @@ fn amid_a_crowd(name: &str, args: &[String]) -> Option<(Child, String)> {
 }
 
 fn listening(args: &[String]) -> Vec<String> {
-    [args, &["--listen".to_owned(), "127.0.0.1:0".to_owned()]].concat()
+    [args, &["--metrics-listen".to_owned(), "127.0.0.1:0".to_owned()]].concat()
 }
 
 #[test]

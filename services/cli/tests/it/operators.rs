@@ -295,7 +295,7 @@ fn mistakes_of_operators_are_answered_in_words() {
         (&["batch", &show(&file), "--out", &show(&dir.path().join("b"))], 2, "stpes"),
         (&["batch", "/nowhere.toml"], 2, "/nowhere.toml"),
         (&["top", &show(dir.path()), "--once"], 6, "no batch folder"),
-        (&["run", &show(scene()), "--listen", "here"], 2, "--listen"),
+        (&["run", &show(scene()), "--metrics-listen", "here"], 2, "--metrics-listen"),
         (&["status", &show(dir.path()), "--once", "--follow"], 2, "cannot be used with"),
     ];
     for (args, code, word) in cases {
@@ -446,7 +446,7 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
     });
     let mut child = Guarded(
         Command::new(env!("CARGO_BIN_EXE_segwild"))
-            .args(["batch", &file, "--out", &show(&batch), "--listen", &target.to_string()])
+            .args(["batch", &file, "--out", &show(&batch), "--metrics-listen", &target.to_string()])
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
             .spawn()

@@ -34,7 +34,7 @@ fn an_actor_that_stands_still_is_named_and_others_that_wait_are_not() {
         ("stall@features.handle:4", "features", "embed photo_"),
     ] {
         let run = dir.path().join(actor);
-        let args = again(&run, &["--stuck-after", "1", "--listen", "127.0.0.1:0", "--fault", fault]);
+        let args = again(&run, &["--stuck-after", "1", "--metrics-listen", "127.0.0.1:0", "--fault", fault]);
         let mut child = Guarded(
             Command::new(env!("CARGO_BIN_EXE_segwild"))
                 .args(&args)

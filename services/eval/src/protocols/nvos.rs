@@ -20,7 +20,7 @@ pub struct NvosProtocol {
 }
 
 /// How the data must lie.
-pub const LAYOUT: &str = "The annotations are published with NVOS (Neural Volumetric Object Selection), the photos are LLFF's. Put them so:\n\
+const LAYOUT: &str = "The annotations are published with NVOS (Neural Volumetric Object Selection), the photos are LLFF's. Put them so:\n\
     ROOT/reference_image/SCENE/PHOTO.JPG          its name says which photo is scribbled on\n\
     ROOT/scribbles/SCENE/pos_*.png, neg_*.png     scribbles inside and outside the object, white on black\n\
     ROOT/masks/SCENE/PHOTO_mask.png               the true mask of another photo\n\

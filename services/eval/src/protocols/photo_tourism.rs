@@ -21,7 +21,7 @@ pub struct PhotoTourismProtocol {
 }
 
 /// How the data must lie.
-pub const LAYOUT: &str = "The photos are those of the Image Matching Challenge's Photo Tourism (\"phototourism\", training set); \
+const LAYOUT: &str = "The photos are those of the Image Matching Challenge's Photo Tourism (\"phototourism\", training set); \
     the masks are drawn by hand, for the paper's are not published. Put them so:\n\
     ROOT/brandenburg_gate/dense/images/*.jpg, dense/sparse/*.bin   as in the archive (ROOT/SCENE/images and sparse/0 will do)\n\
     ROOT/brandenburg_gate/brandenburg.tsv                          NeRF-W's split: which photos take part, which are held out\n\

@@ -21,7 +21,7 @@ pub struct SpinNerfProtocol {
 }
 
 /// How the data must lie.
-pub const LAYOUT: &str = "The masks are published with SPIn-NeRF (\"MVSeg\"), the photos with the data sets that it names. Put them so:\n\
+const LAYOUT: &str = "The masks are published with SPIn-NeRF (\"MVSeg\"), the photos with the data sets that it names. Put them so:\n\
     ROOT/SCENE/images, sparse/0          the photos and COLMAP's reconstruction, as for `segwild run`\n\
     ROOT/SCENE/label/PHOTO.png           the target's mask on each photo, named as the photo; images_4/label/ will do\n\
     The first photo by name that has a mask is clicked, the others are scored.";

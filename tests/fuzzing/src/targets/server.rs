@@ -1,4 +1,4 @@
-//! Requests to `--listen`.
+//! Requests to `--metrics-listen`.
 
 use crate::yard::folder;
 use crate::{FuzzTarget, seal};

@@ -1,8 +1,10 @@
 //! `segwild bench chart`, and `segwild bench point`, which measures one of its points in a process of its own.
 
 use super::command_line::command_line;
-use super::scene_args::{light, light_of, parts, parts_of, providers, providers_of};
-use crate::args::{examples, given, json, list, number, numbers, path, path_of, with_settings_in_long_help};
+use super::scene_args::{
+    light, light_of, occlusion, parts, parts_of, photo_count, pixels, providers, providers_of,
+};
+use crate::args::{examples, given, json, list, numbers, path, path_of, with_settings_in_long_help};
 use crate::failure::{Failure, plain};
 use crate::operators::use_threads;
 use crate::output::{print_json, print_line};
@@ -42,14 +44,9 @@ pub fn command() -> Command {
                 .default_value("1,2")
                 .help("Seeds of the training, with commas: what the error bars are over"),
         )
-        .arg(number("photo-count", "24", "Training photos of a synthetic place")
-                .alias("photos")
-                .value_parser(value_parser!(u32)))
-        .arg(number("pixels", "240", "Long side of a synthetic place's photos").value_parser(value_parser!(u32)))
-        .arg(
-            number("occlusion", "0.1", "Share of each synthetic photo that transients cover, 0 to 0.6")
-                .value_parser(value_parser!(f32)),
-        )
+        .arg(photo_count("24"))
+        .arg(pixels("240"))
+        .arg(occlusion())
         .arg(light())
         .arg(providers())
         .arg(
@@ -59,7 +56,7 @@ pub fn command() -> Command {
                 .help("Sweeps to measure, with commas: preset, steps, splats, channels, size, appearance_model, refine, prompts, density, budget, or single points of them as in appearance_model=embed [default: all]"),
         )
         .arg(path("out", "Folder for results; what is there is not measured again [default: .bench/chart]"))
-        .arg(path("page", "Folder for the page, figures and data [default: the folder of the results]"))
+        .arg(path("page-folder", "Folder for the page, figures and data [default: the folder of the results]"))
         .arg(json());
     with_settings_in_long_help(command)
 }
@@ -116,7 +113,7 @@ pub fn chart(matches: &ArgMatches) -> Result<(), Failure> {
         out: out.clone(),
     };
     let results = measure_all(&options, |event| tell(&event, json))?;
-    let page = path_of(matches, "page").unwrap_or(out);
+    let page = path_of(matches, "page-folder").unwrap_or(out);
     let verdicts = write(&page, &results, &about)?;
     if json {
         return Ok(());

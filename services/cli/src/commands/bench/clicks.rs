@@ -18,12 +18,15 @@ pub fn command() -> Command {
         .about("What single clicks find: random clicks anywhere on the objects of scenes with true masks")
         .after_help(examples(
             "segwild bench clicks photos/trevi photos/garden",
-            "segwild bench clicks photos/trevi --clicks 8 --sizes 320,640 --alternatives",
+            "segwild bench clicks photos/trevi --clicks-per-object 8 --sizes 320,640 --alternatives",
         ))
         .args(scenes_and_sizes(
             "Scenes with truth/PHOTO.png or truth/OBJECT/PHOTO.png, as for `segwild bench folder`",
         ))
-        .arg(number("clicks", "20", "Clicks on each object").value_parser(value_parser!(u64)))
+        .arg(
+            number("clicks-per-object", "20", "Clicks on each object, each measured by itself")
+                .value_parser(value_parser!(u64)),
+        )
         .arg(
             number("click-seed", "1", "Seed of the clicks and of the trainings")
                 .value_parser(value_parser!(u64)),
@@ -42,7 +45,7 @@ pub fn clicks(matches: &ArgMatches) -> Result<(), Failure> {
     let options = ClickOptions {
         scenes: matches.get_many("scenes").expect("clap requires it").cloned().collect(),
         sizes: numbers(matches, "sizes")?,
-        clicks: *matches.get_one::<u64>("clicks").expect("it has a default") as usize,
+        clicks: *matches.get_one::<u64>("clicks-per-object").expect("it has a default") as usize,
         seed: *matches.get_one::<u64>("click-seed").expect("it has a default"),
         alternatives: matches.get_flag("alternatives"),
         out: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/clicks")),

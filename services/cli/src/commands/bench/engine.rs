@@ -1,6 +1,7 @@
 //! `segwild bench engine`
 
 use super::command_line::command_line;
+use super::scene_args::{each_of, pixels};
 use crate::args::{examples, json, list, numbers, path, path_of};
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
@@ -12,24 +13,25 @@ use std::path::PathBuf;
 
 /// The benchmark's arguments.
 pub fn command() -> Command {
-    let sizes = |name: &'static str, default: &'static str, help: &'static str| {
-        Arg::new(name).long(name).value_name("LIST").default_value(default).help(help)
-    };
     Command::new("engine")
         .about("How fast the accelerator engine is: each pass against its floor and the CPU engine")
         .after_help(examples(
             "segwild bench engine --adapter NVIDIA",
-            "segwild bench engine --no-cpu --splats 10000,1000000",
+            "segwild bench engine --no-cpu --splat-counts 10000,1000000",
         ))
         .arg(
             Arg::new("adapter")
                 .long("adapter")
                 .value_name("TEXT")
-                .help("Part of the accelerator's name [default: the best that is no program on the CPU]"),
+                .help("Part of the accelerator's name [default: the best hardware GPU]"),
         )
-        .arg(sizes("splats", "10000,100000,1000000,5000000", "Numbers of splats"))
-        .arg(sizes("sizes", "640x480,1920x1080,3840x2160", "Frames, in pixels"))
-        .arg(sizes("channels", "3,16,64", "Channels, on the first frame with the first number of splats"))
+        .arg(each_of("splat-counts", "10000,100000,1000000,5000000", "Numbers of splats"))
+        .arg(each_of("frame-sizes", "640x480,1920x1080,3840x2160", "Frames, in pixels"))
+        .arg(each_of(
+            "channel-counts",
+            "3,16,64",
+            "Numbers of channels, on the first frame with the first number of splats",
+        ))
         .arg(
             Arg::new("no-cpu")
                 .long("no-cpu")
@@ -48,16 +50,9 @@ pub fn command() -> Command {
                 .value_name("X")
                 .default_value("24")
                 .value_parser(value_parser!(f32))
-                .help("Time a training of a built-in place up to so many dB; 0 leaves it out"),
+                .help("Time a training of a synthetic scene up to so many dB; 0 leaves it out"),
         )
-        .arg(
-            Arg::new("size")
-                .long("size")
-                .value_name("N")
-                .default_value("320")
-                .value_parser(value_parser!(u32).range(16..=4096))
-                .help("Long side of that scene's photos, in pixels"),
-        )
+        .arg(pixels("320"))
         .arg(path("out", "Folder for that scene while it is trained [default: .bench/engine]"))
         .arg(path("page", "Write the page to this file"))
         .arg(json())
@@ -67,7 +62,7 @@ pub fn command() -> Command {
 pub fn engine(matches: &ArgMatches) -> Result<(), Failure> {
     let size = |text: String| {
         let sides = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
-        sides.ok_or_else(|| Failure::usage(format!("--sizes: `{text}` is no frame such as 640x480")))
+        sides.ok_or_else(|| Failure::usage(format!("--frame-sizes: `{text}` is no frame such as 640x480")))
     };
     let db: f32 = *matches.get_one("db").expect("it has a default");
     let dir = path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/engine"));
@@ -77,12 +72,16 @@ pub fn engine(matches: &ArgMatches) -> Result<(), Failure> {
             .get_one::<String>("adapter")
             .cloned()
             .map_or(AdapterChoice::Hardware, AdapterChoice::Named),
-        splats: numbers(matches, "splats")?,
-        sizes: list(matches, "sizes").into_iter().map(size).collect::<Result<_, _>>()?,
-        channels: numbers(matches, "channels")?,
+        splats: numbers(matches, "splat-counts")?,
+        sizes: list(matches, "frame-sizes").into_iter().map(size).collect::<Result<_, _>>()?,
+        channels: numbers(matches, "channel-counts")?,
         cpu: !matches.get_flag("no-cpu"),
         subgroups: !matches.get_flag("no-subgroups"),
-        goal: (db > 0.0).then(|| Goal { db, size: *matches.get_one("size").expect("it has a default"), dir }),
+        goal: (db > 0.0).then(|| Goal {
+            db,
+            size: *matches.get_one("pixels").expect("it has a default"),
+            dir,
+        }),
     };
     let json = matches.get_flag("json");
     let mut last = String::new();

@@ -17,7 +17,7 @@ pub fn command() -> Command {
         .about("Measure a farm: its log on a real server, and many scenes on simulated machines")
         .after_help(examples(
             "segwild bench farm",
-            "segwild bench farm --scenes 1000 --machines 20 --page farm.md",
+            "segwild bench farm --scene-count 1000 --machines 20 --page farm.md",
         ))
         .arg(path("server", "The nats-server program [default: nats-server]"))
         .arg(number("jobs", "1000", "Jobs of the log that is measured").value_parser(whole()))
@@ -25,7 +25,7 @@ pub fn command() -> Command {
             number("kills", "40", "How often a part of a small farm is killed; 0: not at all")
                 .value_parser(value_parser!(u32)),
         )
-        .arg(number("scenes", "10000", "Simulated scenes").value_parser(whole()))
+        .arg(number("scene-count", "10000", "Simulated scenes").value_parser(whole()))
         .arg(number("machines", "200", "Simulated machines").value_parser(whole()))
         .arg(
             Arg::new("seeds")
@@ -47,7 +47,7 @@ pub fn farm(matches: &ArgMatches) -> Result<(), Failure> {
         program: std::env::current_exe()?,
         kills: count("kills"),
         jobs: count("jobs"),
-        scenes: count("scenes"),
+        scenes: count("scene-count"),
         workers: count("machines"),
         seeds: numbers(matches, "seeds")?,
     };

@@ -1,6 +1,7 @@
 //! `segwild bench flow`
 
 use super::command_line::command_line;
+use super::scene_args::each_of;
 use crate::args::{examples, json, list, number, numbers, path, path_of};
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
@@ -21,14 +22,7 @@ pub fn command() -> Command {
                 .help("Rows to measure, with commas [default: all]"),
         )
         .arg(number("kills", "50", "Runs that are killed").value_parser(value_parser!(u32).range(1..)))
-        .arg(
-            Arg::new("photo-count")
-                .long("photo-count")
-                .alias("photos")
-                .value_name("LIST")
-                .default_value("100,1000")
-                .help("Photos of the two scenes whose memory is compared"),
-        )
+        .arg(each_of("photo-counts", "100,1000", "Photos of the two scenes whose memory is compared"))
         .arg(path("out", "Folder for scenes and runs [default: .bench/flow]"))
         .arg(path(
             "page",
@@ -40,8 +34,8 @@ pub fn command() -> Command {
 /// Prints the ratios that the dataflow promises.
 pub fn flow(matches: &ArgMatches) -> Result<(), Failure> {
     let json = matches.get_flag("json");
-    let [few, many] = numbers(matches, "photo-count")?[..] else {
-        return Err(Failure::usage("--photo-count: expected two numbers with a comma, as in 100,1000"));
+    let [few, many] = numbers(matches, "photo-counts")?[..] else {
+        return Err(Failure::usage("--photo-counts: expected two numbers with a comma, as in 100,1000"));
     };
     let options = FlowOptions {
         dir: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/flow")),

@@ -1,6 +1,6 @@
 //! `segwild bench folder`
 
-use super::protocol_flags::{finish, flags, measure_scenes, table, with_common, with_table};
+use super::protocol_flags::{clicks, finish, flags, measure_scenes, table, with_common, with_table};
 use super::scene_args::{parts, parts_of};
 use crate::args::{examples, list, number, path_of};
 use crate::failure::Failure;
@@ -21,6 +21,7 @@ pub fn command() -> Command {
         .arg(
             Arg::new("scene")
                 .required(true)
+                .value_name("SCENE")
                 .value_parser(value_parser!(PathBuf))
                 .help("The scene: photos, reconstruction, and truth/PHOTO.png or truth/OBJECT/PHOTO.png"),
         )
@@ -31,14 +32,7 @@ pub fn command() -> Command {
             number("draw", "4", "So many photos are drawn for each object")
                 .value_parser(value_parser!(u32).range(1..)),
         )
-        .arg(
-            number(
-                "clicks",
-                "1",
-                "Clicks on each photo: where the true mask is deepest, and then away from there",
-            )
-            .value_parser(value_parser!(u32).range(1..)),
-        )
+        .arg(clicks("1"))
         .arg(parts())
 }
 

@@ -1,42 +1,34 @@
 //! `segwild bench photo-tourism`
 
-use super::protocol_flags::{finish, flags, measure_scenes, table, with_common, with_table};
-use crate::args::{examples, list, number, path_of};
+use super::protocol_flags::{
+    clicks, data_and_examples, finish, flags, measure_scenes, root, table, with_common, with_table,
+};
+use crate::args::{list, path_of};
 use crate::failure::Failure;
-use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_eval::protocols::photo_tourism::{LAYOUT, PhotoTourismProtocol, scenes};
-use std::path::PathBuf;
+use clap::{Arg, ArgMatches, Command};
+use segwild_eval::protocols::photo_tourism::{PhotoTourismProtocol, scenes};
 
 /// The benchmark's arguments.
 pub fn command() -> Command {
     let command = Command::new("photo-tourism")
         .about("The paper's nine targets in three scenes of Photo Tourism, and PSNR on held-out photos")
-        .after_help(format!(
-            "{LAYOUT}\n\n{}",
-            examples(
-                "segwild bench photo-tourism data/photo-tourism",
-                "segwild bench photo-tourism data/photo-tourism --table ablation"
-            )
+        .after_help(data_and_examples(
+            "The photos are the Image Matching Challenge's, the splits NeRF-W's, the masks your own.",
+            "segwild bench photo-tourism data/photo-tourism",
+            "segwild bench photo-tourism data/photo-tourism --table ablation",
         ));
     with_table(
         with_common(command, "1", "Folder for runs and results [default: .bench/photo-tourism]"),
         "baselines",
     )
-    .arg(Arg::new("root").required(true).value_parser(value_parser!(PathBuf)).help("Folder of the scenes"))
+    .arg(root("Folder of the scenes"))
     .arg(
         Arg::new("scenes")
             .long("scenes")
             .value_name("LIST")
             .help("Scenes, with commas: brandenburg_gate, trevi_fountain, taj_mahal [default: all]"),
     )
-    .arg(
-        number(
-            "clicks",
-            "1",
-            "Clicks on each reference photo: where its mask is deepest, and then away from there",
-        )
-        .value_parser(value_parser!(u32).range(1..)),
-    )
+    .arg(clicks("1"))
 }
 
 /// Prints the tables.

@@ -1,11 +1,11 @@
 //! What the protocols have in common: rows, seeds, where results go, and how they are printed.
 
 use super::command_line::command_line;
-use crate::args::{given, json, list, numbers, path, path_of, with_settings_in_long_help};
+use crate::args::{examples, given, json, list, number, numbers, path, path_of, with_settings_in_long_help};
 use crate::failure::Failure;
 use crate::operators::use_threads;
 use crate::output::{print_json, print_line};
-use clap::{Arg, ArgAction, ArgMatches, Command};
+use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_eval::protocols::tables::{all, page};
 use segwild_eval::protocols::{FoundScenes, ProtocolBase, ProtocolError, Table, measure};
 use segwild_eval::record::{Provenance, Record, Results};
@@ -45,11 +45,31 @@ pub fn with_common(command: Command, seeds: &'static str, folder: &'static str) 
         .arg(json())
 }
 
+/// The end of the help of a protocol on data that the user has: what they are, where to put them, examples.
+pub fn data_and_examples(data: &str, first: &str, second: &str) -> String {
+    format!(
+        "{data}\ndocs/guide/protocols.md shows the folders; what is missing is named, with where to put it.\n\n{}",
+        examples(first, second)
+    )
+}
+
+/// The folder of a protocol's data.
+pub fn root(help: &'static str) -> Arg {
+    Arg::new("root").required(true).value_name("ROOT").value_parser(value_parser!(PathBuf)).help(help)
+}
+
+/// `--clicks` of protocols that click where true masks are deepest.
+pub fn clicks(default: &'static str) -> Arg {
+    let help = "Clicks on each reference photo: where its mask is deepest, and then away from there";
+    number("clicks", default, help).value_parser(value_parser!(u32).range(1..))
+}
+
 /// Adds `--table`.
 pub fn with_table(command: Command, default: &'static str) -> Command {
     command.arg(
         Arg::new("table")
             .long("table")
+            .value_name("WORD")
             .value_parser(["ablation", "baselines"])
             .default_value(default)
             .help("Rows: one part of the method changed at a time, or other methods"),

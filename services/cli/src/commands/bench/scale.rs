@@ -1,6 +1,7 @@
 //! `segwild bench scale`
 
 use super::command_line::command_line;
+use super::scene_args::{each_of, photo_sizes};
 use crate::args::{examples, json, list, numbers, path, path_of};
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
@@ -11,24 +12,21 @@ use std::path::PathBuf;
 
 /// The benchmark's arguments.
 pub fn command() -> Command {
-    let sizes = |name: &'static str, default: &'static str, help: &'static str| {
-        Arg::new(name).long(name).value_name("LIST").default_value(default).help(help)
-    };
     Command::new("scale")
         .about("How time and memory grow, with slopes: splats, photos, pixels, channels, objects")
-        .after_help(examples("segwild bench scale", "segwild bench scale --photo-count 10,100 --splats 2000,16000"))
+        .after_help(examples("segwild bench scale", "segwild bench scale --photo-counts 10,100 --splat-counts 2000,16000"))
         .arg(
             Arg::new("only")
                 .long("only")
                 .value_name("LIST")
                 .help("Axes to measure, with commas: kernels splats, kernels pixels, kernels channels, photos, splats, pixels, objects [default: all]"),
         )
-        .arg(sizes("kernel-splats", "1000,10000,100000,500000,2000000", "Splats of the kernels' frame"))
-        .arg(sizes("kernel-pixels", "160,320,640,1280", "Widths of the kernels' frame"))
-        .arg(sizes("kernel-channels", "3,16,32,64,128", "Channels of the kernels' frame"))
-        .arg(sizes("photo-count", "10,30,100,300", "Photos of whole runs").alias("photos"))
-        .arg(sizes("splats", "2000,16000,64000", "Most splats of whole runs"))
-        .arg(sizes("pixels", "80,160,320", "Long sides of the photos of whole runs"))
+        .arg(each_of("kernel-splats", "1000,10000,100000,500000,2000000", "Splats of the kernels' frame"))
+        .arg(each_of("kernel-pixels", "160,320,640,1280", "Widths of the kernels' frame"))
+        .arg(each_of("kernel-channels", "3,16,32,64,128", "Channels of the kernels' frame"))
+        .arg(each_of("photo-counts", "10,30,100,300", "Photos of whole runs"))
+        .arg(each_of("splat-counts", "2000,16000,64000", "Most splats of whole runs"))
+        .arg(photo_sizes("80,160,320"))
         .arg(path("out", "Folder for results; what is there is not measured again [default: .bench/scale]"))
         .arg(path("page", "Write the page to this file"))
         .arg(json())
@@ -44,9 +42,9 @@ pub fn scale(matches: &ArgMatches) -> Result<(), Failure> {
         kernel_splats: numbers(matches, "kernel-splats")?,
         kernel_pixels: numbers(matches, "kernel-pixels")?,
         kernel_channels: numbers(matches, "kernel-channels")?,
-        photos: numbers(matches, "photo-count")?,
-        splats: numbers(matches, "splats")?,
-        pixels: numbers(matches, "pixels")?,
+        photos: numbers(matches, "photo-counts")?,
+        splats: numbers(matches, "splat-counts")?,
+        pixels: numbers(matches, "sizes")?,
     };
     let json = matches.get_flag("json");
     let report = |record: &Record| {

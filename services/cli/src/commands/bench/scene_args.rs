@@ -12,14 +12,35 @@ use segwild_synthetic::{LightVariation, SyntheticOptions};
 use std::path::PathBuf;
 
 /// Adds what a synthetic scene is made of.
-pub fn with_scene(command: Command, photos: &'static str, pixels: &'static str) -> Command {
-    command
-        .arg(
-            number("photo-count", photos, "Training photos of each scene")
-                .alias("photos")
-                .value_parser(value_parser!(u32)),
-        )
-        .arg(number("pixels", pixels, "Long side of the photos").value_parser(value_parser!(u32)))
+pub fn with_scene(command: Command, photos: &'static str, long_side: &'static str) -> Command {
+    command.arg(photo_count(photos)).arg(pixels(long_side))
+}
+
+/// `--photo-count` of synthetic scenes.
+pub fn photo_count(default: &'static str) -> Arg {
+    number("photo-count", default, "Training photos of each synthetic scene").value_parser(value_parser!(u32))
+}
+
+/// `--pixels` of synthetic scenes.
+pub fn pixels(default: &'static str) -> Arg {
+    number("pixels", default, "Long side of a synthetic scene's photos, in pixels")
+        .value_parser(value_parser!(u32).range(16..=4096))
+}
+
+/// `--occlusion` of synthetic scenes.
+pub fn occlusion() -> Arg {
+    number("occlusion", "0.1", "Share of each synthetic photo that transients cover, 0 to 0.6")
+        .value_parser(value_parser!(f32))
+}
+
+/// A flag that takes several numbers, of which each is measured.
+pub fn each_of(name: &'static str, default: &'static str, help: &'static str) -> Arg {
+    Arg::new(name).long(name).value_name("LIST").default_value(default).help(help)
+}
+
+/// `--sizes`: photos at each of them.
+pub fn photo_sizes(default: &'static str) -> Arg {
+    each_of("sizes", default, "Long sides of the photos in pixels, with commas")
 }
 
 /// What [`with_scene`] was given, but for the seed.
@@ -38,6 +59,7 @@ pub fn scene_of(matches: &ArgMatches) -> SyntheticOptions {
 pub fn light() -> Arg {
     Arg::new("light")
         .long("light")
+        .value_name("WORD")
         .value_parser(PossibleValuesParser::new(LightVariation::CHOICES))
         .default_value("mixed")
         .help("What differs from photo to photo of a synthetic scene")
@@ -60,6 +82,7 @@ pub fn providers() -> Arg {
     ];
     Arg::new("providers")
         .long("providers")
+        .value_name("WORD")
         .value_parser(PossibleValuesParser::new(choices))
         .default_value("builtin")
         .help("Who makes the masks of synthetic photos")
@@ -86,12 +109,5 @@ pub fn parts_of(matches: &ArgMatches) -> Result<Parts, ProtocolError> {
 /// The arguments of a benchmark that trains scenes by itself: their folders, and `--sizes`.
 pub fn scenes_and_sizes(scenes: &'static str) -> [Arg; 2] {
     let folders = Arg::new("scenes").value_name("SCENE").num_args(1..).required(true);
-    [
-        folders.value_parser(value_parser!(PathBuf)).help(scenes),
-        Arg::new("sizes")
-            .long("sizes")
-            .value_name("LIST")
-            .default_value("320")
-            .help("Long sides of the photos in pixels, with commas"),
-    ]
+    [folders.value_parser(value_parser!(PathBuf)).help(scenes), photo_sizes("320")]
 }

@@ -1,45 +1,44 @@
 //! `segwild bench nvos` and `segwild bench spin-nerf`: other people's annotations of forward-facing scenes.
 
-use super::protocol_flags::{finish, flags, measure_scenes, table, with_common, with_table};
-use crate::args::{examples, list, number, path_of};
+use super::protocol_flags::{
+    clicks, data_and_examples, finish, flags, measure_scenes, root, table, with_common, with_table,
+};
+use crate::args::{list, number, path_of};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_eval::protocols::{nvos, spin_nerf};
-use std::path::PathBuf;
 
-fn with_args(command: Command, folder: &'static str, clicks: &'static str, help: &'static str) -> Command {
+fn with_args(command: Command, folder: &'static str, clicks: Arg) -> Command {
     with_table(with_common(command, "1", folder), "baselines")
-        .arg(Arg::new("root").required(true).value_parser(value_parser!(PathBuf)).help("Folder of the data"))
+        .arg(root("Folder of the data"))
         .arg(Arg::new("scenes").long("scenes").value_name("LIST").help("Scenes, with commas [default: all]"))
-        .arg(number("clicks", clicks, help).value_parser(value_parser!(u32).range(1..)))
+        .arg(clicks)
 }
 
 /// The arguments of `nvos`.
 pub fn nvos_command() -> Command {
-    let command =
-        Command::new("nvos").about("NVOS: scribbles on one photo, the mask of another").after_help(format!(
-            "{}\n\n{}",
-            nvos::LAYOUT,
-            examples("segwild bench nvos data/nvos", "segwild bench nvos data/nvos --table ablation")
-        ));
+    let command = Command::new("nvos").about("NVOS: scribbles on one photo, the mask of another").after_help(
+        data_and_examples(
+            "The annotations are published with NVOS, the photos with LLFF.",
+            "segwild bench nvos data/nvos",
+            "segwild bench nvos data/nvos --table ablation",
+        ),
+    );
     let help = "Most clicks taken from the scribbles inside, and as many from those outside";
-    with_args(command, "Folder for runs and results [default: .bench/nvos]", "8", help)
+    let clicks = number("scribble-clicks", "8", help).value_parser(value_parser!(u32).range(1..));
+    with_args(command, "Folder for runs and results [default: .bench/nvos]", clicks)
 }
 
 /// The arguments of `spin-nerf`.
 pub fn spin_nerf_command() -> Command {
     let command = Command::new("spin-nerf")
         .about("SPIn-NeRF: the mask of one photo is clicked, those of the others score it")
-        .after_help(format!(
-            "{}\n\n{}",
-            spin_nerf::LAYOUT,
-            examples(
-                "segwild bench spin-nerf data/spin-nerf",
-                "segwild bench spin-nerf data/spin-nerf --table ablation"
-            )
+        .after_help(data_and_examples(
+            "The masks are published with SPIn-NeRF (MVSeg), the photos with the data sets that it names.",
+            "segwild bench spin-nerf data/spin-nerf",
+            "segwild bench spin-nerf data/spin-nerf --table ablation",
         ));
-    let help = "Clicks on the reference photo: where its mask is deepest, and then away from there";
-    with_args(command, "Folder for runs and results [default: .bench/spin-nerf]", "3", help)
+    with_args(command, "Folder for runs and results [default: .bench/spin-nerf]", clicks("3"))
 }
 
 /// Prints the tables of NVOS.
@@ -48,7 +47,7 @@ pub fn nvos(matches: &ArgMatches) -> Result<(), Failure> {
     let options = nvos::NvosProtocol {
         root: path_of(matches, "root").expect("clap requires it"),
         only: list(matches, "scenes"),
-        clicks: *matches.get_one::<u32>("clicks").expect("it has a default") as usize,
+        clicks: *matches.get_one::<u32>("scribble-clicks").expect("it has a default") as usize,
     };
     measure_scenes(&mut flags, table(matches), |settings, seed| nvos::scenes(&options, settings, seed))?;
     finish(&flags, "NVOS")

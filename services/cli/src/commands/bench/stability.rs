@@ -1,12 +1,12 @@
 //! `segwild bench stability`
 
 use super::command_line::command_line;
-use super::scene_args::{providers, providers_of};
-use crate::args::{examples, given, json, list, number, numbers, path, path_of, with_settings_in_long_help};
+use super::scene_args::{photo_count, pixels, providers, providers_of};
+use crate::args::{examples, given, json, list, numbers, path, path_of, with_settings_in_long_help};
 use crate::failure::Failure;
 use crate::operators::use_threads;
 use crate::output::{print_json, print_line};
-use clap::{Arg, ArgMatches, Command, value_parser};
+use clap::{Arg, ArgMatches, Command};
 use segwild_bench::stability::{StabilityOptions, curves, defaults, stability as measure_all, write};
 use segwild_eval::record::{Record, means};
 use segwild_pipeline::Settings;
@@ -35,12 +35,8 @@ pub fn command() -> Command {
                 .help("Seeds of the scenes and of the trainings, with commas"),
         )
         .arg(providers())
-        .arg(
-            number("photo-count", "20", "Training photos of a scene")
-                .alias("photos")
-                .value_parser(value_parser!(u32)),
-        )
-        .arg(number("pixels", "160", "Long side of the photos").value_parser(value_parser!(u32)))
+        .arg(photo_count("20"))
+        .arg(pixels("160"))
         .arg(path(
             "out",
             "Folder for results; what is there is not measured again [default: .bench/stability]",

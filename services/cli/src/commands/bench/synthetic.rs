@@ -1,7 +1,7 @@
 //! `segwild bench synthetic`
 
 use super::protocol_flags::{finish, flags, table, tell, with_common, with_table};
-use super::scene_args::{light, light_of, providers, providers_of, scene_of, with_scene};
+use super::scene_args::{light, light_of, occlusion, providers, providers_of, scene_of, with_scene};
 use crate::args::{examples, number};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command, value_parser};
@@ -29,29 +29,31 @@ pub fn with_args(command: Command) -> Command {
         .arg(
             Arg::new("targets")
                 .long("targets")
+                .value_name("WORD")
                 .value_parser(["objects", "surfaces"])
                 .default_value("objects")
                 .help("What is clicked: objects, or the ground and walls that they stand on and before"),
         )
         .arg(
             number(
-                "clicks",
+                "clicks-per-object",
                 "1",
-                "Clicks from which each object is found, one at a time; more than 1 lie anywhere on it",
+                "Clicks on each object, each measured by itself; more than 1 lie anywhere on it",
             )
             .value_parser(value_parser!(u32).range(1..)),
         )
-        .arg(
-            number("occlusion", "0.1", "Share of each photo that transients cover, 0 to 0.6")
-                .value_parser(value_parser!(f32)),
-        )
+        .arg(occlusion())
         .arg(light())
         .arg(
-            number("kinship", "0", "How much all built things are alike to the oracle's embedding, 0 to 1")
-                .value_parser(value_parser!(f32)),
+            number(
+                "embedding-similarity",
+                "0",
+                "How alike the oracle's embedding makes different things: their mean cosine, 0 to 1",
+            )
+            .value_parser(value_parser!(f32)),
         )
         .arg(
-            number("units", "1", "File units per unit of the source: nothing may depend on it")
+            number("units", "1", "Scale of the written scene; results must not change")
                 .value_parser(value_parser!(f64)),
         )
 }
@@ -65,10 +67,10 @@ pub fn synthetic(matches: &ArgMatches) -> Result<(), Failure> {
         table: table(matches),
         only: flags.only.clone(),
         seeds: flags.seeds.clone(),
-        prompts: *matches.get_one::<u32>("clicks").expect("it has a default") as usize,
+        prompts: *matches.get_one::<u32>("clicks-per-object").expect("it has a default") as usize,
         providers: providers_of(matches),
         targets: if word("targets") == "surfaces" { Targets::Surfaces } else { Targets::Objects },
-        faults: OracleOptions { kinship: number("kinship"), ..OracleOptions::default() },
+        faults: OracleOptions { kinship: number("embedding-similarity"), ..OracleOptions::default() },
         scene: SyntheticOptions {
             occlusion: number("occlusion"),
             photo_light: light_of(matches)?,
