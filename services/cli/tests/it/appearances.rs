@@ -159,7 +159,7 @@ fn auto_says_what_it_chose_and_why_and_shares_its_work_with_the_model_by_name() 
         )
     };
     let stdout = with("auto", &["--json"]);
-    let choice = json(&std::fs::read(dir.path().join("run/look.json")).expect("the choice"));
+    let choice = json(&std::fs::read(dir.path().join("run/appearance_choice.json")).expect("the choice"));
     let model = choice["appearance"].as_str().expect("an appearance model").to_owned();
     let why = choice["why"].as_str().expect("a reason");
     assert!(stdout.contains(why), "the run says why: {why}");

@@ -35,7 +35,7 @@ pub(crate) trait AutoChoice: Serialize + DeserializeOwned {
 impl AutoChoice for AppearanceChoice {
     const KIND: &'static str = "appearance";
     const RULE: u32 = 3;
-    const FILE: &'static str = "look.json";
+    const FILE: &'static str = "appearance_choice.json";
     fn is_open(settings: &Settings) -> bool {
         settings.train.appearance_model == AppearanceModel::Auto
     }
