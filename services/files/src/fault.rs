@@ -24,7 +24,7 @@ use std::time::Duration;
 /// `test.` are free for tests.
 pub const POINTS: [(&str, &str); 19] = [
     ("trainer.handle", "the trainer takes an order"),
-    ("coordinator.hear", "the coordinator hears of an actor"),
+    ("coordinator.handle", "the coordinator takes a message of an actor"),
     ("masks.handle", "the masks actor takes a photo"),
     ("features.handle", "the features actor takes a photo, or the field"),
     ("segmenter.handle", "the segmenter takes the prompts of a selection"),

@@ -258,7 +258,7 @@ macro_rules! settings {
 /// ```
 /// segwild_scene::choice! {
 ///     /// Which appearance model to train.
-///     pub enum LookKind {
+///     pub enum AppearanceKind {
 ///         /// No appearance model.
 ///         None = "none",
 ///         /// A colour matrix per photo.
@@ -266,8 +266,8 @@ macro_rules! settings {
 ///     }
 /// }
 /// use segwild_scene::settings::Value;
-/// assert!(matches!(LookKind::read("affine"), Ok(LookKind::Affine)));
-/// assert_eq!(LookKind::CHOICE_DOCS, ["No appearance model.", "A colour matrix per photo."]);
+/// assert!(matches!(AppearanceKind::read("affine"), Ok(AppearanceKind::Affine)));
+/// assert_eq!(AppearanceKind::CHOICE_DOCS, ["No appearance model.", "A colour matrix per photo."]);
 /// ```
 #[macro_export]
 macro_rules! choice {

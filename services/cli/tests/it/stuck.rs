@@ -28,7 +28,7 @@ fn get(address: SocketAddr, path: &str) -> String {
 fn an_actor_that_stands_still_is_named_and_others_that_wait_are_not() {
     let dir = folder();
     for (fault, actor, item) in [
-        ("stall@coordinator.hear:5", "coordinator", "handles "),
+        ("stall@coordinator.handle:5", "coordinator", "handles "),
         ("stall@masks.handle:3", "masks", "sky photo_"),
         ("stall@trainer.step:30", "trainer", "60 steps"),
         ("stall@features.handle:4", "features", "embed photo_"),

@@ -162,7 +162,7 @@ impl<'a> Coordinator<'a> {
             let received = inbox.recv_timeout(Duration::from_millis(200));
             guest.busy(&received.as_ref().map_or_else(|_| String::new(), Message::label));
             if received.is_ok() {
-                fault::point("coordinator.hear").map_err(|e| failed(e.to_string()))?;
+                fault::point("coordinator.handle").map_err(|e| failed(e.to_string()))?;
             }
             match received {
                 Ok(_) if self.run.tainted.load(Ordering::Acquire) => {
