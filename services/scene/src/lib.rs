@@ -39,7 +39,7 @@ mod export;
 mod frame;
 mod image;
 mod import;
-mod keep;
+mod keep_masks;
 pub mod knn;
 pub mod lens;
 mod locate;

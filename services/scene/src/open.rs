@@ -12,7 +12,7 @@ use crate::{
     DARKEST, DecodeError, HoldOut, ImportedSplats, MaskFileError, Observation, Photo, PhotoError, Point,
     Pose, PosedPhotos, Reading, Scene, SceneError, SceneFrame, SceneSettings, Seal, Skipped, SplatFile, View,
 };
-use crate::{alpha, keep, orientation};
+use crate::{alpha, keep_masks, orientation};
 use glam::{Mat3, Vec3};
 use image::metadata::Orientation;
 use rayon::prelude::*;
@@ -55,7 +55,7 @@ impl Scene {
         let model = Some(&*draft.source).filter(|source| source.is_dir() && **source != folder);
         let near: Vec<&Path> = [folder.as_path()].into_iter().chain(model).collect();
         let split = Split::find(&near, settings, &names, draft.split.clone(), &mut remarks)?;
-        let keep = keep::find(&folder, &images, ignore.as_deref(), settings, &draft, &mut remarks)?;
+        let keep = keep_masks::find(&folder, &images, ignore.as_deref(), settings, &draft, &mut remarks)?;
         let ignored = ignore.as_ref().map(|folder| MaskFiles::new(folder, names.iter().copied()));
 
         let mut skipped = unposed.unwrap_or_default();
