@@ -1,4 +1,4 @@
-//! Granularity: a ladder of nested candidates around a click, from fine to coarse.
+//! Granularity: the candidate levels around a click, nested sets, from fine to coarse.
 
 use super::pool::RegionSet;
 
@@ -13,7 +13,7 @@ const ENOUGH: usize = 5;
 const LEVEL: f32 = 0.08;
 
 /// The nested sets around a click at pixel `at`, small to large, whose summed worth is highest: indices into `sets`.
-pub(crate) fn ladder(sets: &[RegionSet], at: [f32; 2]) -> Vec<usize> {
+pub(crate) fn candidate_levels(sets: &[RegionSet], at: [f32; 2]) -> Vec<usize> {
     let mut order: Vec<usize> =
         (0..sets.len()).filter(|&i| (FINEST..=COARSEST).contains(&sets[i].shape.share)).collect();
     if order.is_empty() {

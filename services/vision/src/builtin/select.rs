@@ -1,13 +1,13 @@
 //! From prompts to a mask: chooses among all candidate masks.
 //!
 //! Prompts are taken one after another ([`super::steps`]): the first click or the boxes choose a set, every further click
-//! that disagrees with it corrects it. A granularity picks a level of every click's ladder instead; negative clicks then
+//! that disagrees with it corrects it. A granularity picks one of every click's candidate levels instead; negative clicks then
 //! remove their parts from it, and positive clicks add theirs.
 
 use super::analysis::Analysis;
 use super::cut::GraphCut;
 use super::memory::MemorySlot;
-use super::nesting::{ladder, level};
+use super::nesting::{candidate_levels, level};
 use super::pool::{Ground, RegionSet, set_of};
 use super::refine::iou_of;
 use super::steps::{
@@ -229,13 +229,13 @@ fn likeliest(
     best.map_or_else(|| set_of(&ground.analysis.tree, click.leaf), |b| b.1)
 }
 
-/// The levels of the clicks' ladders at one granularity, without what negative clicks or boxes exclude.
+/// The clicks' candidate levels at one granularity, without what negative clicks or boxes exclude.
 fn by_level(ground: &Ground, meant: &Meant, granularity: f32) -> ScoredMask {
     let tree = &ground.analysis.tree;
     let [mut inside, mut strict, mut loose] = [(); 3].map(|()| vec![false; tree.leaves]);
     for click in &meant.positive {
         let sets = ground.around(click.leaf);
-        let levels = ladder(&sets, click.at);
+        let levels = candidate_levels(&sets, click.at);
         let k = level(levels.len(), granularity);
         let neighbours = [k, k.saturating_sub(1), k + 1];
         for (set, k) in [&mut inside, &mut strict, &mut loose].into_iter().zip(neighbours) {
