@@ -223,7 +223,7 @@ fn synthetic(
                 ("accuracy", s.accuracy),
                 ("amodal_iou", s.amodal_iou),
                 ("label_iou", s.label_iou),
-                ("hidden", s.leak),
+                ("occluded_leak", s.occluded_leak),
             ];
             targets.push(Record { notes: s.notes, ..job.record(&s.object, k as u32, &numbers) });
         }

@@ -53,7 +53,7 @@ impl Margin {
             "psnr" | "train_psnr" => Margin::More(0.1),
             "ssim" => Margin::More(0.005),
             "lpips_vgg" | "lpips_alex" => Margin::Less(0.005),
-            "hidden" => Margin::Less(0.005),
+            "occluded_leak" => Margin::Less(0.005),
             // On a machine that others use, less is noise.
             "wall_s" | "click_s" => Margin::LessBy(0.2),
             "cpu_s" => Margin::LessBy(0.1),
@@ -92,7 +92,7 @@ pub enum Change {
 /// One number of one setting, old and new.
 #[derive(Clone, Debug, Serialize)]
 pub struct Line {
-    /// Protocol and setting, with the place on its axis.
+    /// Protocol and setting, with the position on its axis.
     pub setting: String,
     /// The number.
     pub number: String,

@@ -32,7 +32,7 @@ pub struct Record {
     #[serde(default)]
     pub prompt: u32,
     /// The numbers by name, units in the name where they have one: `iou`, `boundary_iou`, `accuracy`, `amodal_iou`,
-    /// `label_iou`, `hidden`, `psnr`, `ssim`, `lpips_vgg`, `lpips_alex`, `wall_s`, `cpu_s`, `peak_mib`, `splats`.
+    /// `label_iou`, `occluded_leak`, `psnr`, `ssim`, `lpips_vgg`, `lpips_alex`, `wall_s`, `cpu_s`, `peak_mib`, `splats`.
     pub numbers: BTreeMap<String, f64>,
     /// What the program reported about it: warnings, reasons, evidence.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -36,7 +36,7 @@ const LEAST: usize = 1000;
 const PART: usize = 10;
 
 /// The surface that no click may reach.
-const OCCLUDED_WALL: &str = "hidden_wall";
+const OCCLUDED_WALL: &str = "occluded_wall";
 
 /// Why a trial cannot be made.
 #[derive(Debug, thiserror::Error)]
@@ -92,7 +92,7 @@ pub struct ObjectScore {
     /// IoU in 3D: splats by their nearest true surface, weighted by opacity.
     pub label_iou: f64,
     /// Share of the occluded wall's splats that were selected.
-    pub leak: f64,
+    pub occluded_leak: f64,
     /// Mean share of the selected pixels that are of other objects: what stands on a wall or on the ground that was clicked,
     /// or before it.
     pub standing: f64,
@@ -116,7 +116,7 @@ impl ObjectScore {
             ("amodal_iou", self.amodal_iou),
             ("amodal_boundary_iou", self.amodal_boundary_iou),
             ("label_iou", self.label_iou),
-            ("hidden", self.leak),
+            ("occluded_leak", self.occluded_leak),
             ("photos", self.photos as f64),
         ];
         numbers.extend(self.select_s.map(|s| ("select_s", s)));
@@ -357,7 +357,7 @@ impl TrialSession<'_> {
             amodal_iou: 0.0,
             amodal_boundary_iou: 0.0,
             label_iou: 0.0,
-            leak: 0.0,
+            occluded_leak: 0.0,
             standing: 0.0,
             cut: 0,
             notes: Vec::new(),
@@ -373,8 +373,8 @@ impl TrialSession<'_> {
                 let selected = Selected::read(&trial.folder, name, splats.len())?.labels;
                 let opacity = |i: usize| f64::from(splats.opacity(i));
                 score.label_iou = metrics::label_iou(&selected, &self.labels, object.id, opacity);
-                let leak = trial.scene.instance_named(OCCLUDED_WALL);
-                score.leak = leak.map_or(0.0, |wall| leakage(&selected, &self.labels, wall));
+                let wall = trial.scene.instance_named(OCCLUDED_WALL);
+                score.occluded_leak = wall.map_or(0.0, |wall| leakage(&selected, &self.labels, wall));
             }
             // Nothing selected is nothing right.
             Err(RunError::Segment(error)) if error.is_nothing() => score.notes.push(error.to_string()),

@@ -11,7 +11,7 @@ use glam::Vec3;
 pub fn occluded_wall(b: &mut Builder, rng: &mut Rng, hall: Vec3) {
     let hue = [[0x2f8f9d, 0xe8b23a], [0xb23a6a, 0xe8e0c8], [0x3f9f5a, 0xd8d060]][rng.below(3)];
     let mosaic = b.material(Material::Mosaic { a: colour(hue[0]), b: colour(hue[1]), size: 0.42 });
-    b.instance("hidden_wall", ObjectKind::Surface);
+    b.instance("occluded_wall", ObjectKind::Surface);
     b.part("wall");
     let size = Vec3::new(hall.x * rng.range(0.95, 1.15), 0.22, hall.z * rng.range(0.42, 0.55));
     b.add(SolidShape::block(Vec3::new(0.0, hall.y + 0.36, 0.0), size, 0.0), mosaic);

@@ -204,7 +204,7 @@ fn only_cameras_at_the_back_see_the_occluded_wall() {
             ..options()
         };
         let scene = generate(&options).unwrap();
-        let wall = scene.instance_named("hidden_wall").unwrap();
+        let wall = scene.instance_named("occluded_wall").unwrap();
         let seen = |front: bool| -> usize {
             scene.photos.iter().filter(|p| p.front == front).map(|p| p.mask(wall).count()).sum()
         };

@@ -352,7 +352,7 @@ fn fit(
             }
             _ => Image::zeros(0, 0, 0),
         };
-        let hidden = match &conditioned {
+        let activations = match &conditioned {
             Some((trained, _, embedding)) => {
                 let direction = directions(&model.splats, view_pose.centre(), projected.radii());
                 blend(HIDDEN_LAYER, &trained.hidden_layer(embedding, &direction))?.image
@@ -375,7 +375,7 @@ fn fit(
                 light: std::array::from_fn(|k| at(&embeddings, k, i)),
                 seen: seen.into(),
             };
-            pixels.push((pixel, std::array::from_fn(|k| at(&hidden, k, i))));
+            pixels.push((pixel, std::array::from_fn(|k| at(&activations, k, i))));
         }
     }
     Ok(match (&model.appearance, conditioned) {

@@ -91,7 +91,7 @@ pub fn summary(results: &Results) -> String {
         ("amodal_iou", "amodal IoU", 3),
         ("amodal_boundary_iou", "amodal Boundary IoU", 3),
         ("label_iou", "IoU in 3D", 3),
-        ("hidden", "hidden wall", 4),
+        ("occluded_leak", "leak behind an occluder", 4),
         ("worst", "worst photo", 3),
         ("select_s", "s per click", 1),
     ];
@@ -114,7 +114,7 @@ pub fn summary(results: &Results) -> String {
             let spread = over_seeds(results, number, of);
             // What leaks is the worst that any click did.
             let spread = match (number, results.spread(number, of)) {
-                ("hidden", Some(all)) => Some(Spread { mean: all.most, count: 1, ..all }),
+                ("occluded_leak", Some(all)) => Some(Spread { mean: all.most, count: 1, ..all }),
                 _ => spread,
             };
             let _ = write!(text, " {} |", cell(spread, digits));
@@ -434,7 +434,7 @@ mod tests {
     use super::*;
 
     fn record(setting: &str, seed: u64, target: &str, prompt: u32, iou: f64) -> Record {
-        let numbers = [("iou", iou), ("accuracy", 0.9), ("worst", iou - 0.1), ("hidden", 1.0 - iou)];
+        let numbers = [("iou", iou), ("accuracy", 0.9), ("worst", iou - 0.1), ("occluded_leak", 1.0 - iou)];
         Record {
             protocol: "synthetic".into(),
             scene: format!("seed {seed}"),
