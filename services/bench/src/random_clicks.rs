@@ -156,9 +156,9 @@ fn of_click(
 ) -> Result<BTreeMap<String, f64>, PageError> {
     let mut numbers = BTreeMap::new();
     let mut best = 0.0f64;
-    let mut meanings = 1;
+    let mut answers = 1;
     let mut at = 0;
-    while at < meanings {
+    while at < answers {
         let mut segment = settings.segment.clone();
         segment.alternative = at;
         let began = Instant::now();
@@ -190,7 +190,7 @@ fn of_click(
                 seconds.into_iter().filter_map(|(name, s)| Some((name, s.filter(|s| s.is_finite())?)));
             numbers.extend(known.map(|(name, s)| (name.to_owned(), s)));
             if alternatives {
-                meanings = others.max(1) as u32;
+                answers = others.max(1) as u32;
             }
         }
         at += 1;

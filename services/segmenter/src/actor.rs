@@ -48,7 +48,7 @@ pub struct Segmented {
     /// The expected IoU of the scene tree's answer with what the clicks mean, by its fit on other scenes, in [0, 1]; `None` where
     /// the photos' own masks answered.
     pub expected_iou: Option<f32>,
-    /// What the clicks may mean, in the order of [`SegmentSettings::alternative`]. Empty where the scene tree took no part.
+    /// What the clicks may select, in the order of [`SegmentSettings::alternative`]. Empty where the scene tree took no part.
     pub alternatives: Vec<Alternative>,
 }
 

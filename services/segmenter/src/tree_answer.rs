@@ -14,7 +14,7 @@ const TREE_VOTE: f32 = 1.0;
 /// Share of some pixel that a group must make up to show in a photo. By choice. Half and half more changed no measured click.
 const MIN_GROUP_SHARE: f32 = 0.5;
 
-/// Something that clicks may mean.
+/// Something that clicks may select.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Alternative {
@@ -24,12 +24,12 @@ pub enum Alternative {
     Photo,
 }
 
-/// What clicks mean.
+/// What clicks select.
 #[derive(Default)]
 pub(crate) struct TreeAnswer {
     /// The group that is selected; `None` where the photos' own masks are.
     pub group: Option<GroupAnswer>,
-    /// What the clicks may mean, in the order of [`SegmentSettings::alternative`](crate::SegmentSettings::alternative).
+    /// What the clicks may select, in the order of [`SegmentSettings::alternative`](crate::SegmentSettings::alternative).
     pub alternatives: Vec<Alternative>,
 }
 
@@ -89,17 +89,17 @@ pub(crate) fn answer(
         None => tree.candidates(&query),
     };
     let Some(first) = found.first() else { return Ok(TreeAnswer::default()) };
-    let mut meanings: Vec<Option<&GroupCandidate>> = found.iter().map(Some).collect();
+    let mut candidates: Vec<Option<&GroupCandidate>> = found.iter().map(Some).collect();
     let several = |(_, prompts): &(usize, Prompts)| prompts.points.iter().filter(|p| p.inside).count() > 1;
     let by_photo = granularity.is_none() && (clicks.iter().any(several) || first.area > SCENE_AREA);
-    meanings.insert(usize::from(!by_photo), None);
-    let named = |meaning: &Option<&GroupCandidate>| match meaning {
+    candidates.insert(usize::from(!by_photo), None);
+    let named = |candidate: &Option<&GroupCandidate>| match candidate {
         Some(candidate) => Alternative::Group(candidate.area),
         None => Alternative::Photo,
     };
-    let alternatives = meanings.iter().map(named).collect();
-    let last = meanings.len() - 1;
-    let Some(chosen) = meanings[last.min(settings.alternative as usize)] else {
+    let alternatives = candidates.iter().map(named).collect();
+    let last = candidates.len() - 1;
+    let Some(chosen) = candidates[last.min(settings.alternative as usize)] else {
         return Ok(TreeAnswer { group: None, alternatives });
     };
     let group = GroupAnswer::of(request, tree, chosen, clicks, photos, segmenter)?;

@@ -251,10 +251,14 @@ fn a_click_starts_from_the_runs_scene_tree_and_names_what_else_it_may_mean() {
     };
     assert_eq!(held_of(&run, "objects"), 1, "the run grew its tree");
     let first = select(&[]);
-    let meanings = first["alternatives"].as_array().expect("a list").clone();
-    assert!((2..=3).contains(&meanings.len()), "{first}");
-    assert_eq!(meanings.iter().filter(|m| *m == "photo").count(), 1, "the photo's own mask is one of them");
-    let splats: Vec<u64> = (0..meanings.len())
+    let alternatives = first["alternatives"].as_array().expect("a list").clone();
+    assert!((2..=3).contains(&alternatives.len()), "{first}");
+    assert_eq!(
+        alternatives.iter().filter(|m| *m == "photo").count(),
+        1,
+        "the photo's own mask is one of them"
+    );
+    let splats: Vec<u64> = (0..alternatives.len())
         .map(|i| {
             let other = select(&["--alternative", &i.to_string()]);
             assert_eq!(
@@ -267,7 +271,7 @@ fn a_click_starts_from_the_runs_scene_tree_and_names_what_else_it_may_mean() {
     assert_eq!(splats[0], first["splats"].as_u64().expect("a count"));
     let by_photo = select(&["--first-answer", "photo"]);
     assert_eq!(by_photo["alternatives"], serde_json::json!([]));
-    let photo = meanings.iter().position(|m| m == "photo").expect("it is there");
+    let photo = alternatives.iter().position(|m| m == "photo").expect("it is there");
     assert_eq!(by_photo["splats"].as_u64(), Some(splats[photo]), "it is the answer without the tree");
     // A tree that is damaged or gone is grown again, and the answer stays.
     damage(&run, "objects");

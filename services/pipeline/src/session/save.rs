@@ -47,7 +47,7 @@ pub struct SegmentOutcome {
     /// The expected IoU of the scene tree's answer with what the prompts mean, in [0, 1]; `None` where the photos' own masks
     /// answered.
     pub expected_iou: Option<f32>,
-    /// What the prompts may mean; the setting `alternative` selects one. Empty where the scene tree took no part.
+    /// What the prompts may select; the setting `alternative` selects one. Empty where the scene tree took no part.
     pub alternatives: Vec<Alternative>,
     /// Warnings about the prompts and the selection, a sentence each.
     pub notes: Vec<String>,

@@ -61,7 +61,7 @@ pub struct TreeQuery<'a> {
     pub outside: &'a [u32],
 }
 
-/// A group that a query may mean.
+/// A group that a query may select.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GroupCandidate {
     /// Nodes, each with the number of its tree: one, or one per click where no group holds all clicks.
@@ -84,7 +84,7 @@ impl SceneTree {
         summed.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(leaf, _)| leaf)
     }
 
-    /// What a query may mean, the likeliest first: groups that hold all inside leaves and no outside one. Where no group does,
+    /// What a query may select, the likeliest first: groups that hold all inside leaves and no outside one. Where no group does,
     /// each inside leaf's likeliest group without the others, together.
     pub fn candidates(&self, query: &TreeQuery) -> Vec<GroupCandidate> {
         let mut found = self.groups_with(query);

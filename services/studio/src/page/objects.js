@@ -81,8 +81,8 @@ export class Side {
     const named = app.level === null ? text("level_auto") : `${100 * app.level} %`;
     parts.push(element("label", { className: "row" }, element("span", { className: "quiet" }, text("level")), level, named));
     if (answer.alternatives.length > 1) {
-      const chips = answer.alternatives.map((meaning, k) => {
-        const shown = typeof meaning === "object" ? text("alternative_group", (100 * meaning.group).toPrecision(2)) : text("alternative_photo");
+      const chips = answer.alternatives.map((alternative, k) => {
+        const shown = typeof alternative === "object" ? text("alternative_group", (100 * alternative.group).toPrecision(2)) : text("alternative_photo");
         return button(shown, shown, () => app.alternative(k), { "aria-pressed": k === draft.alternative });
       });
       parts.push(element("p", { className: "quiet" }, text("alternatives")), element("div", { className: "row" }, ...chips));
