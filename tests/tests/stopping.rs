@@ -35,7 +35,7 @@ impl SkyDetector for StopsAfterThree {
 #[test]
 fn a_run_stopped_while_it_waits_for_a_sky_ends_in_the_same_bytes() {
     let dir = tempfile::tempdir().expect("a temporary folder");
-    let scene = dir.path().join("place");
+    let scene = dir.path().join("scene");
     let options = SyntheticOptions {
         train: 8,
         test: 0,
@@ -44,7 +44,7 @@ fn a_run_stopped_while_it_waits_for_a_sky_ends_in_the_same_bytes() {
         occlusion: 0.0,
         ..SyntheticOptions::small()
     };
-    generate(&options).and_then(|s| s.write(&scene)).expect("a synthetic place");
+    generate(&options).and_then(|s| s.write(&scene)).expect("a synthetic scene");
     let mut settings = Settings::default();
     for (name, value) in [("size", "96"), ("steps", "40"), ("refine_steps", "2"), ("prompt_budget", "16")] {
         settings.set(name, value).expect("a setting");

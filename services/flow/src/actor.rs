@@ -124,7 +124,7 @@ pub trait Actor: Sized + 'static {
         Ok(())
     }
 
-    /// Called before the actor ends in order (finished, stopped, or its consumer gone): the place for a last
+    /// Called before the actor ends in order (finished, stopped, or its consumer gone): the point for a last
     /// checkpoint.
     ///
     /// # Errors

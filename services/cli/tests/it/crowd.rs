@@ -59,7 +59,7 @@ fn a_crowd_of_idle_connections_does_not_end_a_run() {
 }
 
 fn manifest(dir: &Path) -> String {
-    let file = dir.join("places.toml");
+    let file = dir.join("scenes.toml");
     let settings =
         format!("settings = {{ size = 96, steps = {STEPS}, refine_steps = 4, prompt_budget = 24 }}");
     let scene = scene().display();

@@ -161,7 +161,7 @@ fn another_step_for_the_snapshot_leaves_the_trained_scene_alone() {
     completes(&again(&run, &["--snapshot-at", "0.5"]));
     has_what_an_untouched_run_has(&run);
 
-    // One that stands past the new place goes by it again.
+    // One that stands past the new position goes by it again.
     let paused = dir.path().join("paused");
     completes(&again(&paused, &["--until", "40"]));
     completes(&again(&paused, &at));

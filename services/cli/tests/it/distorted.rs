@@ -65,7 +65,7 @@ fn bend_scene(to: &Path) -> Lens {
 #[test]
 fn clicks_masks_and_transient_masks_are_of_the_photo_as_taken() {
     let dir = folder();
-    let (shared_run, run) = (dir.path().join("place"), dir.path().join("run"));
+    let (shared_run, run) = (dir.path().join("scene"), dir.path().join("run"));
     let lens = bend_scene(&shared_run);
     works(&[&["run", &show(&shared_run), "--out", &show(&run)][..], &QUICK].concat());
     let (object, click) = clearest();

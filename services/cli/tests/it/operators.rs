@@ -18,7 +18,7 @@ fn manifest(dir: &Path, steps: u32, names: &[&str], more: &str) -> String {
     for name in names {
         text += &format!("[[scene]]\nname = \"{name}\"\npath = \"{}\"\n", scene().display());
     }
-    let file = dir.join("places.toml");
+    let file = dir.join("scenes.toml");
     std::fs::write(&file, text + more).expect("it writes");
     show(&file)
 }
@@ -259,7 +259,7 @@ fn a_clock_that_jumps_in_a_rest_is_reported_once_and_changes_nothing() {
 #[test]
 fn a_scene_that_does_not_fit_the_memory_is_refused_before_anything_starts() {
     let dir = folder();
-    let (batch, file) = (dir.path().join("batch"), dir.path().join("places.toml"));
+    let (batch, file) = (dir.path().join("batch"), dir.path().join("scenes.toml"));
     let scene = format!("[[scene]]\nname = \"small\"\npath = \"{}\"\n", scene().display());
     let large = scene.replace("small", "large") + "settings = { splats = 4000000 }\n";
     for (budget, more, words) in [
@@ -289,7 +289,7 @@ fn a_scene_that_does_not_fit_the_memory_is_refused_before_anything_starts() {
 #[test]
 fn mistakes_of_operators_are_answered_in_words() {
     let dir = folder();
-    let file = dir.path().join("places.toml");
+    let file = dir.path().join("scenes.toml");
     std::fs::write(&file, "[[scene]]\npath = \"a\"\nsettings = { stpes = 3 }\n").expect("it writes");
     let cases: [(&[&str], i32, &str); 5] = [
         (&["batch", &show(&file), "--out", &show(&dir.path().join("b"))], 2, "stpes"),

@@ -23,7 +23,7 @@ fn long(scene: &Path, run: &Path) -> Vec<String> {
 #[test]
 fn a_photo_that_changes_in_mid_training_is_named_and_spoils_nothing() {
     let dir = folder();
-    let (scene, straight) = (dir.path().join("place"), dir.path().join("straight"));
+    let (scene, straight) = (dir.path().join("scene"), dir.path().join("straight"));
     copy_folder(&shared_run().scene, &scene);
     completes(&long(&scene, &straight));
     let expected = results(&straight);
@@ -54,7 +54,7 @@ fn a_photo_that_changes_in_mid_training_is_named_and_spoils_nothing() {
 #[test]
 fn photos_that_cannot_be_used_are_named_and_the_rest_is_trained_to_the_end() {
     let dir = folder();
-    let (scene, run) = (dir.path().join("place"), dir.path().join("run"));
+    let (scene, run) = (dir.path().join("scene"), dir.path().join("run"));
     copy_folder(&shared_run().scene, &scene);
     let photos: Vec<&str> =
         shared_run().manifest.photos.iter().filter(|p| !p.test).map(|p| p.name.as_str()).collect();

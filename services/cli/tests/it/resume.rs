@@ -363,7 +363,7 @@ fn another_scene_is_not_run_into_a_used_folder() {
     let moved = dir.path().join("moved");
     copy_folder(scene(), &moved);
     works(&[&["run", &show(&moved), "--out", &show(&run)][..], &QUICK].concat());
-    // Photos of the same names from other places are another scene.
+    // Photos of the same names from other folders are another scene.
     let sparse = moved.join("sparse/0");
     let mut model = segwild_scene::colmap::read(&sparse).expect("a model");
     model.images.iter_mut().for_each(|image| image.translation = image.translation.map(|v| 3.0 * v));

@@ -122,9 +122,9 @@ pub fn scene() -> &'static Path {
                 photo_light: LightVariation::Affine,
                 ..SyntheticOptions::small()
             };
-            generate(&options).and_then(|s| s.write(&folder.join("place"))).expect("a synthetic scene");
+            generate(&options).and_then(|s| s.write(&folder.join("scene"))).expect("a synthetic scene");
         });
-        made.join("place")
+        made.join("scene")
     })
 }
 
@@ -264,14 +264,14 @@ pub fn has_all_of(run: &Path, expected: &BTreeMap<PathBuf, blake3::Hash>) {
     }
 }
 
-/// The object of the place that some photo shows best, and a click into it there.
+/// The object of the scene that some photo shows best, and a click into it there.
 pub fn clearest() -> (&'static str, &'static Click) {
     let things = shared_run().manifest.objects.iter().filter(|o| o.name != "ground");
     let clicks = things.flat_map(|o| o.clicks.iter().map(move |c| (o.name.as_str(), c)));
     clicks.max_by_key(|(_, c)| c.visible).expect("an object that shows")
 }
 
-/// Clicks into an object of the place, in a run of it.
+/// Clicks into an object of the scene, in a run of it.
 pub fn select(run: &Path, fault: &[&str]) -> Output {
     let click = &shared_run().manifest.objects.iter().flat_map(|o| &o.clicks).next().expect("a click");
     let (run, at) = (show(run), format!("{},{}", click.x, click.y));
