@@ -446,7 +446,7 @@ export class App {
       },
       transients: () => this.showTransients(!this.transients),
       train: () => this.run.post("train", {}).then(() => this.say(text("trained_again")), error => this.failed(error)),
-      drawn_by: () => scenePane.switchDrawer(),
+      rendered_by: () => scenePane.switchDrawer(),
       cursor_left: () => photoPane.moveCursor(-1, 0), cursor_right: () => photoPane.moveCursor(1, 0),
       cursor_up: () => photoPane.moveCursor(0, -1), cursor_down: () => photoPane.moveCursor(0, 1),
       click_inside: () => photoPane.clickCursor(true), click_outside: () => photoPane.clickCursor(false),

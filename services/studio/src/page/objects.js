@@ -37,7 +37,7 @@ export class Side {
     /** Thumbnails by object and selection. @type {Map<string, HTMLCanvasElement>} */
     this.thumbs = new Map();
     this.renaming = /** @type {number | null} */ (null);
-    this.drawn = { answer: "", objects: "", listed: "" };
+    this.rendered = { answer: "", objects: "", listed: "" };
   }
 
   update() {
@@ -59,8 +59,8 @@ export class Side {
     if (!state) return;
     const { answer, draft } = state;
     const key = JSON.stringify([answer, draft, app.level]);
-    if (key === this.drawn.answer) return;
-    this.drawn.answer = key;
+    if (key === this.rendered.answer) return;
+    this.rendered.answer = key;
     const parts = [element("h2", {}, text("answer"))];
     if (draft.of !== null) {
       const item = state.objects.find(o => o.id === draft.of);
@@ -99,8 +99,8 @@ export class Side {
     const { app } = this, { state } = app;
     if (!state) return;
     const key = JSON.stringify([state.objects, state.isolated, state.appearance, state.cut_spikes, app.item, this.renaming, app.photo]);
-    if (key === this.drawn.objects) return;
-    this.drawn.objects = key;
+    if (key === this.rendered.objects) return;
+    this.rendered.objects = key;
     const focus = document.activeElement?.getAttribute("data-focus");
     const rows = state.objects.map((item, k) => this.row(item, k));
     const spikes = element("label", { className: "row" },
@@ -250,8 +250,8 @@ export class Side {
   listed() {
     const { app } = this, list = app.description?.listed ?? [], chosen = app.state?.draft.listed;
     const key = `${app.run.name}/${list.length}/${chosen}`;
-    if (key === this.drawn.listed || !app.state) return;
-    this.drawn.listed = key;
+    if (key === this.rendered.listed || !app.state) return;
+    this.rendered.listed = key;
     if (!list.length) return of("listed").replaceChildren();
     // The sheet has six columns of thumbnails of 160 pixels, 4 apart; a tile shows one at 72 pixels.
     const step = 164, scale = 72 / 160, columns = Math.min(list.length, 6);

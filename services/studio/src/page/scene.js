@@ -265,7 +265,7 @@ export class ScenePane {
     } finally {
       this.busy = false;
     }
-    of("drawn-by").textContent = text(this.drawer === "browser" ? "drawn_by_browser" : "drawn_by_server");
+    of("rendered-by").textContent = text(this.drawer === "browser" ? "rendered_by_browser" : "rendered_by_server");
   }
 
   /** Who draws: the browser where it reaches 30 frames a second, by measurement. @returns {Promise<"browser" | "server">} */

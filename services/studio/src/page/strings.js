@@ -10,7 +10,7 @@ export const strings = {
   stage: "Photo. Click inside the object, right click outside of it, drag a box. Arrow keys move a cursor, Space clicks inside, X outside.",
   space: "3D scene. Drag to orbit, right drag to pan, wheel to move nearer. Click an object to select it.",
   sort: "Sort", sort_name: "by name", sort_angle: "by angle", only_showing: "only those that show the object",
-  frusta: "Cameras", marks: "Colours", drawn_by_server: "Drawn by the server", drawn_by_browser: "Drawn by the browser",
+  frusta: "Cameras", marks: "Colours", rendered_by_server: "Drawn by the server", rendered_by_browser: "Drawn by the browser",
   frame_time: "{0} ms", held_out: "held out", transients: "Transients", train: "Train without them",
   transients_how: "The transients of this photo. Tools add to them, with Ctrl they take away.",
   trained_again: "The scene is trained on without them. It is replaced once that is done.",

@@ -193,13 +193,13 @@ test("both drawers show the same scene", async t => {
       return context?.getImageData(0, 0, width, height).data ?? new Uint8ClampedArray();
     };
     const there = await createImageBitmap(await app.run.frame({ ...view, marks: false }));
-    const behind = await createImageBitmap(await app.run.frame({ ...view, marks: false, background: true }));
+    const backdrop = await createImageBitmap(await app.run.frame({ ...view, marks: false, background: true }));
     const { SplatView } = await import("/page/splats.js");
     const canvas = document.createElement("canvas"), view3 = new SplatView(canvas);
     view3.load(await app.run.bytes("splats"));
     view3.draw(view);
     view3.finish();
-    const [a, b] = [await pixels([there]), await pixels([behind, canvas])];
+    const [a, b] = [await pixels([there]), await pixels([backdrop, canvas])];
     let sum = 0;
     for (let i = 0; i < a.length; i++) if (i % 4 < 3) sum += (a[i] - b[i]) ** 2;
     return 10 * Math.log10(255 * 255 / (sum / (a.length * 0.75)));
