@@ -56,7 +56,7 @@ struct JobStore {
     connection: Connection,
     /// The table as this handle last saw it, and the file's version then.
     seen: Option<(i64, JobTable)>,
-    /// How far the wall clock has jumped, in seconds, as far as this handle saw it and nobody asked yet.
+    /// How far the wall clock has jumped, in seconds, as far as this handle saw it and no caller took it yet.
     jumped: Vec<f64>,
 }
 

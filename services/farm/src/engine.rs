@@ -48,7 +48,7 @@ pub enum ErrorClass {
     /// The system had no file descriptors or processes left, which others hold: another attempt follows after a rest.
     /// Costs no attempt.
     Shortage,
-    /// No failure: the worker was asked to stop. Costs no attempt.
+    /// No failure: a stop of the worker was requested. Costs no attempt.
     Stopped,
 }
 

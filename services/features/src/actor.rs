@@ -217,7 +217,7 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
             100.0 * pca.explained_variance()
         );
         let requested = self.settings.channels as usize;
-        let fewer = format!("; it has no more, so the {requested} asked for are not filled");
+        let fewer = format!("; it has no more, so not all of the {requested} requested ones are filled");
         let fewer = if pca.channels < requested && self.settings.keep_variance >= 1.0 { &*fewer } else { "" };
         context.events().info(Some("features"), kept + fewer);
         let targets = InputTargets {

@@ -255,7 +255,7 @@ impl Context {
         self.pulse.worker
     }
 
-    /// Whether to leave the work at the next point where it can be resumed. A source is asked already when
+    /// Whether to leave the work at the next point where it can be resumed: a source does as soon as
     /// the system drains, others when it stops at once. Costs one atomic read.
     pub fn stopping(&self) -> bool {
         self.stopper.phase() >= if self.source { Phase::Draining } else { Phase::Stopping }
@@ -264,12 +264,12 @@ impl Context {
     /// [`ActorFailure::stopped`] once [`Context::stopping`]: `context.check()?` in a loop.
     ///
     /// # Errors
-    /// When the actor is asked to stop.
+    /// When [`Context::stopping`].
     pub fn check(&self) -> Result<(), ActorFailure> {
         if self.stopping() { Err(ActorFailure::stopped()) } else { Ok(()) }
     }
 
-    /// Waits, but no longer than until the actor is asked to stop; returns whether it waited to the end.
+    /// Waits, but no longer than until [`Context::stopping`]; returns whether it waited to the end.
     pub fn sleep(&self, time: Duration) -> bool {
         !self.stopper.0.wait(time, || self.stopping())
     }

@@ -9,7 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::mutex::lock;
 
-/// How far a system has been asked to stop.
+/// How far the shutdown of a system was requested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
@@ -70,7 +70,7 @@ impl Stopper {
         self.0.raise(Phase::Stopping);
     }
 
-    /// How far it has been asked to stop.
+    /// The phase that was requested.
     pub fn phase(&self) -> Phase {
         self.0.phase()
     }

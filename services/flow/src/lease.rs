@@ -1,6 +1,6 @@
 //! One of a thing that many want: an accelerator is leased, not fought over.
 //!
-//! A lease is handed out in the order in which it was asked for, urgent ones first, and comes back when its guard is
+//! A lease is handed out in the order in which it was requested, urgent ones first, and comes back when its guard is
 //! dropped, also by a panic. Who waits shows in the timeline as held back by the thing, by name. Who stops waiting
 //! leaves the queue, and nobody behind waits longer for it.
 //!

@@ -18,7 +18,7 @@ pub enum Exit {
     Running,
     /// All its work is done.
     Finished,
-    /// It was asked to stop and left the rest undone.
+    /// A stop was requested, and it left the rest undone.
     Stopped,
     /// The consumer of its results has gone.
     DownstreamClosed,
@@ -89,7 +89,7 @@ impl ActorReport {
 pub struct Report {
     /// The actors, in the order in which they were spawned.
     pub actors: Vec<ActorReport>,
-    /// How far the system was asked to stop.
+    /// How far its shutdown was requested.
     pub phase: Phase,
     /// From the system's start to its end, in seconds.
     pub wall_s: f64,

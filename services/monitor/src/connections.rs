@@ -107,7 +107,7 @@ async fn requests(
         .header_read_timeout(HEAD_TIME)
         .max_buf_size(HEAD_BYTES)
         .keep_alive(keep_alive)
-        // Who has asked and says no more is still answered.
+        // A client that sent its request and closed its side is still answered.
         .half_close(true)
         .serve_connection(TokioIo::new(stream), service)
         .await

@@ -91,7 +91,7 @@ pub trait PhotoCache: Send + Sync {
 }
 
 /// How many times the pixels in use a file has from which on reading those pixels costs much less than decoding it: most of the
-/// time of decoding goes to all pixels of the file, whatever the size asked for.
+/// time of decoding goes to all pixels of the file, whatever the requested size.
 const LARGER: u64 = 4;
 
 impl View {

@@ -77,7 +77,7 @@ impl View {
         let (head, orientation) = self.head().map_err(|e| self.photo_error(path, e))?;
         head.check_end(path).map_err(|e| self.photo_error(path, e))?;
         let camera = self.camera.scaled_to(long_side.max(1));
-        // Bending blurs a little, so it happens at up to twice the size asked for.
+        // Bending blurs a little, so it happens at up to twice the requested size.
         let fine = self.photo.lens.as_ref().map(|lens| (lens, bent(&self.camera, long_side)));
         let size = fine.as_ref().map_or(&camera, |(_, fine)| fine);
         let shrunk = |mut decoded: Decoded| {

@@ -61,7 +61,7 @@ pub struct Request<'a> {
     pub views: &'a [PosedView],
     /// The prompted photos; at least one.
     pub prompts: &'a [PromptedView<'a>],
-    /// What is known of the splats before any photo is asked, if the scene tree was.
+    /// What is known of the splats before any photo is queried, if the scene tree was.
     pub prior: Option<&'a Evidence>,
     /// One feature vector per splat, if there is a field.
     pub features: Option<&'a SplatFeatures>,

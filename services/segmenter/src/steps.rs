@@ -1,4 +1,4 @@
-//! An answer that grows: earlier answers are published while more photos are asked.
+//! An answer that grows: earlier answers are published while more photos are queried.
 
 use serde::Serialize;
 
@@ -6,11 +6,11 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AnswerStep {
-    /// The scene tree answered; no photo was asked.
+    /// The scene tree answered; no photo was queried.
     Tree,
     /// The masks of the prompted photos decide.
     Prompted,
-    /// So many other photos were asked.
+    /// So many other photos were queried.
     Photos(usize),
 }
 
@@ -19,7 +19,7 @@ pub trait AnswerSteps: Sync {
     /// Receives an earlier answer: whether each splat belongs to the object, before spikes are cut.
     fn publish(&self, step: AnswerStep, labels: Vec<bool>);
     /// Whether nobody waits for the selection any more. It ends with [`SegmentError::Cancelled`](crate::SegmentError::Cancelled)
-    /// before the next photo is asked.
+    /// before the next photo is queried.
     fn cancelled(&self) -> bool;
 }
 

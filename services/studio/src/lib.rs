@@ -1,6 +1,6 @@
 //! The page on which a person clicks: a run's session, shared by viewers, and every operation on its objects.
 //!
-//! - [`Studio`]: a run's session with its objects. Prompts are asked, answers grow, several viewers share one state.
+//! - [`Studio`]: a run's session with its objects. Prompts are queries, answers grow, several viewers share one state.
 //! - [`document`]: the objects and the operations that made them; `studio/session.jsonl` of a run, undo and redo.
 //! - [`messages`]: what the page and the server say to each other.
 //! - [`serve`]: the page and its messages by HTTP, on the loopback address and with a token.

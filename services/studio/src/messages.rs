@@ -90,7 +90,7 @@ pub struct ShownPrompts {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub enum StudioAction {
-    /// Asks for what these prompts mean; none ends the query.
+    /// Requests the selection of these prompts; none ends the query.
     Prompt {
         /// All prompts of the query.
         prompts: Vec<ShownPrompts>,
@@ -98,7 +98,7 @@ pub enum StudioAction {
         #[serde(default)]
         alternative: u32,
     },
-    /// Asks for an object of the scene's own list.
+    /// Requests an object of the scene's own list.
     Listed {
         /// Its number.
         number: usize,
@@ -335,7 +335,7 @@ pub struct PickedPixel {
 pub struct StateMessage {
     /// Counts the changes.
     pub revision: u64,
-    /// What is being asked for.
+    /// What is being requested.
     pub draft: DraftMessage,
     /// The answer to it.
     pub answer: AnswerMessage,
@@ -376,7 +376,7 @@ impl AppearanceMessage {
     }
 }
 
-/// What is being asked for.
+/// What is being requested.
 #[derive(Clone, Debug, Serialize)]
 pub struct DraftMessage {
     /// Clicks and boxes.
@@ -400,7 +400,7 @@ pub struct AnswerMessage {
     pub step: Option<AnswerStep>,
     /// Splats that it selects.
     pub splats: usize,
-    /// What else the prompts may mean.
+    /// What else the prompts may select.
     pub alternatives: Vec<Alternative>,
     /// Why there is no answer.
     pub error: Option<String>,

@@ -29,7 +29,7 @@ pub enum TrainError {
     /// Imported splats do not lie where the poses are.
     #[error("{0}")]
     Frame(String),
-    /// Somebody asked for a stop.
+    /// A stop was requested.
     #[error("stopped")]
     Stopped,
     /// The rasteriser refused.

@@ -3,7 +3,7 @@
 //!
 //! `cargo run -p segwild-synthetic --example make_synthetic -- DIR --seed N` writes a set; then
 //! `cargo run -p segwild-vision --example eval_prompts -- DIR [--every 2] [--skip 1] [--long 320] [--models DIR]
-//! [--object NAME] [--photo TEXT] [--each] [--out DIR]`. A folder of photos without truth is asked for proposals only.
+//! [--object NAME] [--photo TEXT] [--each] [--out DIR]`. Of photos without truth only the proposals are made.
 
 #[allow(dead_code, reason = "the examples share it, none uses all of it")]
 mod common;
@@ -16,7 +16,7 @@ use segwild_scene::{Image, Mask, MaskSet, Prompts, ScoredMask};
 use segwild_vision::{Builtin, MaskProposer, PromptSegmenter};
 use std::path::{Path, PathBuf};
 
-/// Granularities that are asked for.
+/// Granularities that are requested.
 const LEVELS: [f32; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 /// Least share of the photo that an object must cover to be queried.
 const LEAST: f64 = 0.005;

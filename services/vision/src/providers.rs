@@ -70,10 +70,10 @@ fn file(settings: &VisionSettings, name: &str, demanded: bool) -> Result<Option<
     match (demanded, settings.models.is_empty()) {
         (false, _) => Ok(None),
         (true, true) => Err(VisionError::Model(format!(
-            "the network {name} is asked for, but no folder of models is set: set `models` to the folder that holds it"
+            "the network {name} is requested, but no folder of models is set: set `models` to the folder that holds it"
         ))),
         (true, false) => Err(VisionError::Model(format!(
-            "the network {name} is asked for, but {} has no such file",
+            "the network {name} is requested, but {} has no such file",
             settings.models
         ))),
     }
@@ -81,7 +81,7 @@ fn file(settings: &VisionSettings, name: &str, demanded: bool) -> Result<Option<
 
 impl Providers {
     /// Finds the providers that `settings` name. Where `auto` cannot have a network, the built-in provider serves and a note says
-    /// why; a network asked for by name that cannot be had is an error.
+    /// why; a network requested by name that cannot be had is an error.
     pub fn from_settings(settings: &VisionSettings) -> Result<Providers, VisionError> {
         Providers::keeping(settings, None)
     }
@@ -139,7 +139,7 @@ impl Providers {
             None => builtin,
         });
         let without = match (settings.models.is_empty(), &sam) {
-            (false, None) => " (SAM is not there, or not asked for)",
+            (false, None) => " (SAM is not there, or not requested)",
             _ => "",
         };
         let note = |what: &str, service: &Option<Arc<RemoteVision>>, sam: bool| match (service, sam) {
@@ -168,7 +168,7 @@ impl Providers {
                 Arc::new(NoSky)
             }
             None if settings.sky == SkyChoice::Geometry => {
-                notes.push("sky: by the points that lie in photos (asked for)".into());
+                notes.push("sky: by the points that lie in photos (requested)".into());
                 Arc::new(GeometrySky(builtin.clone()))
             }
             None => {
@@ -177,7 +177,7 @@ impl Providers {
                     SkyChoice::Auto => {
                         "selections are better by it than by a network; `sky = \"both\"` takes that as well"
                     }
-                    _ => "asked for",
+                    _ => "requested",
                 };
                 notes.push(format!("sky: built-in detector (colour and boundaries; {why})"));
                 Arc::new(ColourSky(builtin.clone()))
@@ -249,7 +249,7 @@ fn token_of(file: &Path) -> Result<Token, TokenFileError> {
     String::from_utf8(bytes).ok().and_then(|text| Token::of(&text)).ok_or(TokenFileError::NoToken)
 }
 
-/// Refuses a choice that asks for a service which is not named, or does not have what is asked for.
+/// Refuses a choice that needs a service which is not named, or one that does not have what is requested.
 fn demand(lacks: bool, what: &str, service: Option<&RemoteVision>) -> Result<(), VisionError> {
     match (lacks, service) {
         (false, _) => Ok(()),
@@ -309,7 +309,7 @@ fn sky(
     let runtime = Runtime::find_within(&settings.onnxruntime, settings.network_memory)?;
     let network = SkyNetwork::load(&runtime, &path, settings.network_threads, settings.sky_confidence)?;
     let with = if settings.sky == SkyChoice::Both { " together with the built-in detector" } else { "" };
-    notes.push(format!("sky: network {}{with} (asked for)", path.display()));
+    notes.push(format!("sky: network {}{with} (requested)", path.display()));
     networks.push(NetworkFile::of_models(&path, network.hash()));
     Ok(Some(match settings.sky {
         SkyChoice::Both => Arc::new(JointSky { network, colour: ColourSky(builtin.clone()) }),

@@ -188,7 +188,7 @@ mod tests {
         let (found, wrong) = pairs(folder.path(), "");
         let stems: Vec<(&str, Option<Family>)> = found.iter().map(|p| (p.stem.as_str(), p.family)).collect();
         let expected = [("mobile_sam", Some(Family::MobileSam)), ("sam_vit_b", Some(Family::Sam))];
-        assert_eq!(stems, expected, "the lighter one first; unknown names only when asked for");
+        assert_eq!(stems, expected, "the lighter one first; unknown names only when requested");
         assert!(wrong[0].contains("is a decoder without its encoder"), "{wrong:?}");
         let (named, _) = pairs(folder.path(), "own");
         assert_eq!((named[0].stem.as_str(), named[0].family), ("own", None));

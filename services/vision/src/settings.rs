@@ -98,7 +98,7 @@ segwild_scene::settings! {
         /// How far SAM's threshold moves, up and down, to tell how stable a mask is (in logits).
         stability_offset: f32 = 1.0 => 0.0..=100.0,
         /// The ONNX Runtime library, which runs the networks. Empty: ORT_DYLIB_PATH, the system's library folders,
-        /// then Python's onnxruntime package. A run folder is never asked for it.
+        /// then Python's onnxruntime package. It is never taken from a run folder.
         onnxruntime: String = String::new(),
         /// CPU threads per network.
         network_threads: u32 = 1 => 0..=256,

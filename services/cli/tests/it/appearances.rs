@@ -58,7 +58,7 @@ fn a_view_is_rendered_with_other_photos_appearances_interpolated_and_in_any_stre
     let wrong = |flags: &[&str], words: &[&str]| {
         refuses(&[&["render", &run, "--photo", view, "--out", &out], flags].concat(), 2, words);
     };
-    wrong(&["--mode", "only"], &["--selection <NAME>"]); // was drawn plain, as if nothing had been asked
+    wrong(&["--mode", "only"], &["--selection <NAME>"]); // was once rendered whole, without a message
     wrong(&["--appearance", "nobody.jpg"], &["no photo `nobody.jpg`"]);
     wrong(&["--appearance", view, "--appearance", other], &["--frames", "--interpolate"]);
     wrong(&["--appearance", view, "--interpolate", "0.5"], &["two appearances"]);

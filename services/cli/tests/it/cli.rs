@@ -208,7 +208,7 @@ fn bad_clicks_are_answered_in_words() {
         &["0 to 1"],
     );
     refuses(&["eval", &run, "--truth", "/nowhere"], 2, &["no selection named `object`"]);
-    // Who asked for JSON is reported in JSON, too.
+    // With --json, errors are JSON too.
     let output = segwild(&["eval", &run, "--truth", "/nowhere", "--json"]);
     let stderr = json(&output.stdout);
     assert_eq!(stderr["exit_code"], 2);

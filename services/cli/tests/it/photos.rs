@@ -79,7 +79,7 @@ fn photos_that_cannot_be_used_are_named_and_the_rest_is_trained_to_the_end() {
             "{line}"
         );
     }
-    // Nothing is trained, or asked, a second time.
+    // Nothing is trained or computed a second time.
     args.push("--json".into());
     let (out, _) = completes(&args);
     assert_eq!(made(&out), 0, "{out}");

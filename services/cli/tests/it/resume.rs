@@ -21,7 +21,7 @@ fn until_a_step_and_on_from_there_is_the_same_as_straight() {
     }
     let (_, stderr) = completes(&again(&run, &["--until", "40"]));
     assert!(stderr.contains("goes on from step 20"), "{stderr}");
-    // Asked for what was reached already, it has nothing to do.
+    // A run until a step that was reached already has nothing to do.
     let (stdout, _) = completes(&again(&run, &["--until", "30"]));
     assert!(stdout.contains("stopped at step 40"), "{stdout}");
     completes(&again(&run, &[]));

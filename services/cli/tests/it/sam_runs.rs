@@ -28,7 +28,7 @@ fn a_run_by_sam_is_whole_kept_and_made_again_when_a_file_changes() {
     let rate = json(stdout.lines().find(|l| l.contains("prompts_per_s")).expect("a metric").as_bytes());
     assert!(rate["value"].as_f64().is_some_and(|v| v > 0.0), "{rate}");
 
-    // Once more: nothing is made, so no network is asked.
+    // Once more: nothing is made, so no network runs.
     let before = results(&run);
     let (stdout, _) = completes(&args);
     assert_eq!(made(&stdout), 0, "{stdout}");

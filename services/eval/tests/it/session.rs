@@ -63,7 +63,7 @@ fn one_session_answers_many_clicks_in_steps_and_saves_what_one_command_saves() {
         segment(trial.folder(), &alone, &query, settings, None, &Stopper::new()).unwrap();
         assert!(object(name) == object(&alone), "{name}");
     }
-    // What cannot be asked leaves the session as it was.
+    // Prompts that are refused leave the session as it was.
     let nowhere = PhotoPrompts { photo: "nowhere.jpg".into(), prompts: Prompts::click(3.0, 3.0) };
     assert!(session.ask(&[nowhere][..].into(), &settings.segment, &stays).is_err());
     let again = ask(&clicks[0], &stays).wait(|_, _| ()).unwrap();

@@ -51,7 +51,7 @@ pub struct BatchOptions {
 pub struct BatchSummary {
     /// The scenes, in the manifest's order.
     pub scenes: Vec<JobStatus>,
-    /// Whether it was asked to stop before everything was done.
+    /// Whether it was stopped before everything was done.
     pub interrupted: bool,
     /// Wall time in seconds.
     pub wall_s: f64,

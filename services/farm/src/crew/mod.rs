@@ -67,7 +67,7 @@ pub(crate) struct CrewTerms<'a> {
 }
 
 impl CrewTerms<'_> {
-    /// Works until nothing is left, or until it is asked to stop; returns whether it was interrupted. Whatever goes wrong, no
+    /// Works until nothing is left, or until a stop is requested; returns whether it was interrupted. Whatever goes wrong, no
     /// process is left running.
     pub fn work(self) -> Result<bool, EngineError> {
         let mut crew = Crew { terms: self, assignments: Vec::new(), silent: false };

@@ -1,9 +1,9 @@
-//! How a batch is asked to stop.
+//! How a stop of a batch is requested.
 
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
-/// How far a batch has been asked to stop.
+/// How far a stop of a batch is requested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum StopLevel {
     /// It runs.
@@ -14,7 +14,7 @@ pub enum StopLevel {
     AtOnce,
 }
 
-/// Asks a batch to stop; clones ask the same one. Levels only rise.
+/// Requests the stop of a batch; clones are of the same one. Levels only rise.
 ///
 /// ```
 /// use segwild_farm::{StopBatch, StopLevel};
@@ -33,19 +33,19 @@ impl Default for StopBatch {
 }
 
 impl StopBatch {
-    /// Asks for at least this much.
+    /// Requests at least this level.
     pub fn raise(&self, level: StopLevel) {
         let mut now = self.0.0.lock().unwrap_or_else(PoisonError::into_inner);
         *now = level.max(*now);
         self.0.1.notify_all();
     }
 
-    /// How far it has been asked.
+    /// The level that was requested.
     pub fn level(&self) -> StopLevel {
         *self.0.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits so long, but no longer than until more is asked for.
+    /// Waits so long, but no longer than until more is requested.
     pub(crate) fn wait(&self, time: Duration) {
         let level = self.0.0.lock().unwrap_or_else(PoisonError::into_inner);
         let before = *level;

@@ -70,7 +70,7 @@ impl SceneJob {
     }
 }
 
-/// A batch as it was asked for, checked and with all defaults filled in.
+/// A batch as it was requested, checked and with all defaults filled in.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BatchManifest {
     /// What may be used.

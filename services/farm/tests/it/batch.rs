@@ -95,7 +95,7 @@ fn a_failed_scene_does_not_stop_the_others_and_a_second_run_does_nothing_twice()
     // Nothing is left to do.
     let again = yard.run(&mut |event| panic!("{event:?}")).expect("it runs");
     assert_eq!(states(&again), states(&summary));
-    // A dead letter tries again when that is asked for.
+    // A dead letter tries again when that is requested.
     let options = BatchOptions { retry_dead: true, ..yard.options.clone() };
     let yard = Yard { options, ..yard };
     assert_eq!(states(&yard.run(&mut |_| {}).expect("it runs"))[0], ("bad", JobState::Dead, 2));

@@ -59,7 +59,7 @@ pub struct SpawnError {
 }
 
 impl SpawnError {
-    /// Whether nothing is wrong but that the system was asked to stop before.
+    /// Whether nothing is wrong but that a stop of the system was requested before.
     pub fn is_stopping(&self) -> bool {
         self.source.kind() == std::io::ErrorKind::Interrupted
     }

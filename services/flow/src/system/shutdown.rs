@@ -10,7 +10,7 @@ use crate::control::Phase;
 use crate::events::Event;
 use crate::supervise::ActorCell;
 
-/// The supervisor's loop: heartbeats, then shutdown as far as it was asked for.
+/// The supervisor's loop: heartbeats, then shutdown as far as it was requested.
 pub(super) fn supervise(shared: &SystemShared) {
     let control = shared.control();
     let mut watch = Watch::default();

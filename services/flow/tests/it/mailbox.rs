@@ -122,7 +122,7 @@ fn the_last_receiver_frees_who_waits_and_what_is_queued() {
     // A queued message that holds the only sender of a reply: dropping the receiver must drop it.
     struct Ask(#[allow(dead_code)] segwild_flow::Sender<u32>);
     impl Message for Ask {}
-    let (sender, receiver) = mailbox("asked", Limits { count: 1, bytes: MIB });
+    let (sender, receiver) = mailbox("queried", Limits { count: 1, bytes: MIB });
     let (reply, answer) = mailbox("reply", Limits::default());
     sender.blocking_send(Ask(reply)).unwrap();
     let held = sender.clone();
@@ -198,7 +198,7 @@ fn an_abandoned_send_gives_its_slot_back() {
 /// The narrow place: a sender that has its place and is about to queue the message when the mailbox closes.
 #[test]
 fn a_closing_mailbox_waits_for_a_sender_on_the_threshold() {
-    /// Asked for its size a second time, it is on the threshold, and lingers there.
+    /// When its size is read a second time, it is on the threshold, and lingers there.
     struct Lingering(AtomicU64, std::sync::mpsc::Sender<()>);
     impl Message for Lingering {
         fn bytes(&self) -> usize {

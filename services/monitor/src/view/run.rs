@@ -29,7 +29,7 @@ const EVENTS: usize = 8;
 pub enum RunState {
     /// A process works on it.
     Running,
-    /// Every stage that it was asked for is done.
+    /// Every requested stage is done.
     Done,
     /// A stage failed.
     Failed,
@@ -158,7 +158,7 @@ impl RunView {
     pub fn read(path: &Path, now: f64) -> Result<RunView, ViewError> {
         let folder = open_run(path)?;
         let ledger = Ledger::open_read_only(folder.ledger())?;
-        // The owner is asked first: a run that ends in between is then seen as ending, never as dead.
+        // The owner is checked first: a run that ends in between is then seen as ending, never as dead.
         let owner = ledger.owner().map(|o| o.to_string());
         let live = ledger.live()?;
         let rows = ledger.stages()?;

@@ -20,7 +20,7 @@ pub struct PendingAnswer {
 
 /// The last answer to prompts.
 pub struct Answer {
-    /// What was asked, with the settings of the selection.
+    /// The request, with the settings of the selection.
     pub replay: Replay,
     /// What it selects.
     pub segmented: Box<Segmented>,

@@ -1,7 +1,7 @@
 //! A run's scene, kept in memory for prompts.
 //!
-//! A [`Session`] holds what clicks need: the scene, its tree, the engine, the providers and the segmenter's actor. Prompts are
-//! [asked](Session::ask) and answered in steps: by the scene tree, by the prompted photos, by more and more photos. A
+//! A [`Session`] holds what clicks need: the scene, its tree, the engine, the providers and the segmenter's actor. A query
+//! ([`Session::ask`]) is answered in steps: by the scene tree, by the prompted photos, by more and more photos. A
 //! later query may cancel an earlier one. An answer is [saved](Session::save) as a selection of the run.
 //!
 //! ```no_run

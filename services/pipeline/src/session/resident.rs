@@ -203,7 +203,7 @@ impl Session {
         &self.model
     }
 
-    /// The scene tree; `None` where the provider of the masks finds objects by itself, and where none was asked for.
+    /// The scene tree; `None` where the provider of the masks finds objects by itself, and where none was requested.
     pub fn tree(&self) -> Option<&Arc<SceneTree>> {
         self.tree.as_ref().map(|keyed| &keyed.tree)
     }

@@ -137,7 +137,7 @@ impl Session {
     /// Makes a scene to render from many cameras.
     ///
     /// # Errors
-    /// When a photo whose appearance is asked for is unknown or took no part in the training.
+    /// When a photo whose appearance is requested is unknown or took no part in the training.
     pub fn show(&self, parts: &ShownParts) -> Result<ShownScene, RunError> {
         let mut model = self.model.clone();
         for cut in &parts.cut {

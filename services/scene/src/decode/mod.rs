@@ -28,7 +28,7 @@ use std::path::Path;
 pub(crate) const MEGAPIXELS: u32 = 200;
 /// Images with more pixels are shrunk while they are decoded, where they are shrunk at all.
 const LARGE: u64 = 4 << 20;
-/// How many times the size asked for the decoder leaves at the least: what is finer does the filter behind it.
+/// How many times the requested size the decoder leaves at the least: what is finer does the filter behind it.
 const FINER: f64 = 2.0;
 /// Most times that a PNG's deflated data can be larger once they are inflated.
 const DEFLATE: u64 = 1032;

@@ -52,7 +52,7 @@ pub struct Journal {
 
 impl Journal {
     /// Opens a journal, or makes one, and reads back what it holds. A journal of another training is put aside, as
-    /// `session-N.jsonl`; what it held is returned, for its prompts can be asked again.
+    /// `session-N.jsonl`; what it held is returned, for its prompts can be answered again.
     ///
     /// # Errors
     /// When it cannot be read or written, another process has it open, or a later version wrote it.

@@ -63,7 +63,7 @@ pub struct KeptObject {
     pub locked: bool,
     /// Its own appearance; `None` where it has the scene's.
     pub appearance: Option<BlendedAppearance>,
-    /// What was asked for; empty where a tool selected it.
+    /// What was requested; empty where a tool selected it.
     pub draft: ObjectDraft,
     /// Whether tools changed its splats after the answer.
     pub edited: bool,
@@ -74,7 +74,7 @@ pub struct KeptObject {
 /// The objects, and how they are shown.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Objects {
-    /// What is being asked for.
+    /// What is being requested.
     pub draft: ObjectDraft,
     /// The objects, by their numbers.
     pub all: Vec<KeptObject>,

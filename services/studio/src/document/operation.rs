@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// The number of an object. It stays when the name changes, and is never used again.
 pub type ObjectId = u32;
 
-/// What is being asked for.
+/// What is being requested.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ObjectDraft {
     /// Clicks and boxes, in pixels of the photos as taken.
@@ -24,7 +24,7 @@ pub struct ObjectDraft {
 }
 
 impl ObjectDraft {
-    /// Whether nothing is asked for.
+    /// Whether nothing is requested.
     pub fn is_empty(&self) -> bool {
         self.prompts.is_empty() && self.listed.is_none()
     }
@@ -43,9 +43,9 @@ pub struct StoredSelection {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case")]
 pub enum Operation {
-    /// Asks for something else.
+    /// Requests something else.
     Draft {
-        /// All of what is asked for now.
+        /// All of what is requested now.
         draft: ObjectDraft,
     },
     /// Keeps the answer as an object.
@@ -54,7 +54,7 @@ pub enum Operation {
         id: ObjectId,
         /// The name of a new object.
         name: String,
-        /// What was asked for.
+        /// What was requested.
         draft: ObjectDraft,
         /// The answer.
         selection: StoredSelection,

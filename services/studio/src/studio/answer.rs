@@ -1,4 +1,4 @@
-//! Answers that grow, and objects that are asked for again.
+//! Answers that grow, and objects that are requested again.
 
 use super::state::{GrowingAnswer, Studio, StudioError, StudioState};
 use crate::document::{Document, JournalEntry, KeptObject, ObjectDraft, ObjectId, Operation};
@@ -53,7 +53,7 @@ impl Studio {
         true
     }
 
-    /// After a restart: the draft's answer is not kept, so it is asked for again.
+    /// After a restart: the draft's answer is not kept, so it is requested again.
     pub(super) fn ask_again(self: &Arc<Self>) {
         let mut state = self.state();
         self.start_answer(&mut state);
@@ -73,7 +73,7 @@ impl Studio {
         if let Some(earlier) = earlier {
             state
                 .notes
-                .push("the scene was trained again: its objects are asked for again by their prompts".into());
+                .push("the scene was trained again: its objects are selected again by their prompts".into());
             lost.extend(earlier.objects().all.iter().map(|object| (object.clone(), None)));
         }
         if lost.is_empty() {
@@ -83,7 +83,7 @@ impl Studio {
         let studio = Arc::downgrade(self);
         let work = move || lost.into_iter().for_each(|(object, of)| recover_one(&studio, &object, of));
         if let Err(e) = std::thread::Builder::new().name("studio recovery".into()).spawn(work) {
-            self.note(format!("no thread can be started to ask for objects again: {e}"));
+            self.note(format!("no thread can be started to select objects again: {e}"));
         }
     }
 

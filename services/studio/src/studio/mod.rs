@@ -1,4 +1,4 @@
-//! A run's session with its objects, shared by all viewers: prompts are asked, answers grow, every operation is kept.
+//! A run's session with its objects, shared by all viewers: prompts are queries, answers grow, every operation is kept.
 
 mod act;
 mod answer;
@@ -26,7 +26,7 @@ use tokio::sync::watch;
 
 impl Studio {
     /// Opens a run's session and what was done in it before. Objects of an earlier training, and those whose splats are lost,
-    /// are asked for again by their prompts.
+    /// are requested again by their prompts.
     ///
     /// # Errors
     /// When the run cannot be read, or another process has its session open.
@@ -34,7 +34,7 @@ impl Studio {
         Studio::open_at(folder, name, None, &Code::given(&[]), stopper)
     }
 
-    /// The same for a run that is still trained, as it was at a snapshot. What is kept there is asked for again by its prompts once
+    /// The same for a run that is still trained, as it was at a snapshot. What is kept there is requested again by its prompts once
     /// the scene is trained.
     ///
     /// # Errors
@@ -119,7 +119,7 @@ impl Studio {
         self.snapshot
     }
 
-    /// Whether nobody has asked for anything yet.
+    /// Whether nothing was requested yet.
     pub fn is_untouched(&self) -> bool {
         let state = self.state();
         state.document.objects().draft.is_empty() && state.document.objects().all.is_empty()

@@ -67,7 +67,7 @@ fn a_session_that_is_killed_goes_on_with_the_same_objects_to_the_byte() {
     assert_eq!(json(&before.draft), json(&after.draft));
     assert_eq!((before.undo, after.notes), (after.undo, Vec::<String>::new()));
     assert!(files == [ply(&studio, 1), ply(&studio, 2)]);
-    assert!(answer == studio.splat_labels().0, "the draft's answer is asked for again");
+    assert!(answer == studio.splat_labels().0, "the draft's answer is requested again");
     // Undo goes back beyond the restart.
     for _ in 0..2 {
         studio.act(StudioAction::Undo).unwrap();

@@ -15,7 +15,7 @@ use std::sync::{Arc, OnceLock};
 pub(crate) struct Analysis {
     /// Nested regions.
     pub tree: Hierarchy,
-    /// Other trees over the same superpixels, for more candidates; grown when some are asked for, which skies, descriptions and
+    /// Other trees over the same superpixels, for more candidates; grown when some are requested, which skies, descriptions and
     /// refinements do not.
     others: OnceLock<Vec<Hierarchy>>,
     /// Superpixels as points in colour and position.

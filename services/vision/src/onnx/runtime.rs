@@ -87,7 +87,7 @@ fn limit_memory(environment: &Environment, bytes: usize) -> ort::Result<()> {
         unsafe { ort::Error::result_from_status(status) }
     };
     let (mut info, mut arena) = (std::ptr::null_mut(), std::ptr::null_mut());
-    // As much as is asked for and no more, the runtime's usual chunks otherwise.
+    // As much as is requested and no more, the runtime's usual chunks otherwise.
     let (as_requested, usual) = (1, -1);
     // SAFETY: both calls only write the pointers they are given; what they made is released below, on every way out.
     // The runtime copies what it needs of both when it registers the allocator.

@@ -37,7 +37,7 @@ fn load_first(settings: &VisionSettings, notes: &mut Vec<String>) -> Result<Opti
         return match demanded {
             false => Ok(None),
             true => missing(
-                "SAM is asked for, but no folder of models is set: set `models` to the folder that holds its encoder \
+                "SAM is requested, but no folder of models is set: set `models` to the folder that holds its encoder \
                  and decoder"
                     .into(),
             ),
@@ -58,7 +58,7 @@ fn load_first(settings: &VisionSettings, notes: &mut Vec<String>) -> Result<Opti
             (true, true) => {
                 let stem = if settings.sam.is_empty() { "mobile_sam" } else { &settings.sam };
                 missing(format!(
-                    "SAM is asked for, but {} holds no pair of it: `{stem}_encoder.onnx` and `{stem}_decoder.onnx`, for \
+                    "SAM is requested, but {} holds no pair of it: `{stem}_encoder.onnx` and `{stem}_decoder.onnx`, for \
                      instance",
                     settings.models
                 ))

@@ -194,7 +194,7 @@ impl PromptDecoder {
                     for one in some.chunks(1) {
                         answers.extend(self.ask_at_once(encoded, one)?);
                     }
-                    tracing::warn!("{error}; it is asked one prompt at a time");
+                    tracing::warn!("{error}; it takes one prompt at a time");
                     self.one_by_one.store(true, Ordering::Relaxed);
                 }
                 Err(error) => return Err(error),

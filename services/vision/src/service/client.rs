@@ -272,7 +272,7 @@ impl PromptSegmenter for RemoteVision {
         self.prompt(image, prompts)
     }
 
-    /// Without a call for it, a box and a click in the middle are what is asked.
+    /// Without a call for it, a box and a click in the middle are what is sent.
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {
         check_certainty(image, certainty)?;
         let (width, height) = (image.width as u32, image.height as u32);

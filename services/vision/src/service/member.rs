@@ -137,7 +137,7 @@ impl Member {
         asks
     }
 
-    /// Time until it may be asked what it is; `None` when that is known, or nobody needs to know any more.
+    /// Time until it may be queried for its description; `None` when that is known, or nobody needs to know any more.
     pub fn rest(&self) -> Option<Duration> {
         let mut health = self.health();
         health.waited_for = health.unknown && health.left_out.is_none();

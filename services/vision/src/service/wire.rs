@@ -56,7 +56,7 @@ impl NamedImage {
         &self.header.hash
     }
 
-    /// Its parts, in order. Each is made when it is asked for.
+    /// Its parts, in order. Each is made when it is requested.
     pub fn parts(self: Arc<NamedImage>) -> impl Iterator<Item = ImagePart> + Send + 'static {
         let header = ImagePart { part: Some(Part::Header(self.header.clone())) };
         let count = self.numbers.len().div_ceil(PART);

@@ -1,4 +1,4 @@
-//! Networks of the SAM family, by small ones of the same interfaces: what is asked of them and what is made of their
+//! Networks of the SAM family, by small ones of the same interfaces: what is sent to them and what is made of their
 //! answers.
 
 use crate::toy::{
@@ -95,7 +95,7 @@ fn a_click_gives_three_nested_masks_whatever_the_interface() {
     for (what, takes, d) in interfaces {
         let folder = tempfile::tempdir().unwrap();
         let all = pair(folder.path(), takes, d);
-        // Twenty clicks: more than are asked at once, and no multiple of it.
+        // Twenty clicks: more than are sent at once, and no multiple of it.
         let points: Vec<[f32; 2]> = (0..21).map(|i| [30.0 + i as f32, 40.0]).collect();
         let masks = all.proposer.propose(&image, &points).unwrap();
         assert_eq!(masks.len(), 3 * points.len(), "{what}");
