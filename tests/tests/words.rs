@@ -3,9 +3,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// The files that the list is about.
-const KINDS: [&str; 12] =
-    ["rs", "wgsl", "md", "toml", "yml", "yaml", "html", "css", "js", "mjs", "service", "txt"];
+/// The files that the list is about, by their endings.
+const KINDS: [&str; 20] = [
+    "cff", "css", "csv", "html", "ipynb", "js", "json", "md", "mjs", "proto", "py", "rs", "sbatch",
+    "service", "svg", "toml", "txt", "wgsl", "yaml", "yml",
+];
+
+/// Folders whose files count whatever their endings are.
+const SCRIPTS: [&str; 2] = [".ci", "deploy"];
 
 /// Where a word is refused.
 #[derive(PartialEq)]
@@ -31,7 +36,40 @@ struct List {
     entries: Vec<Entry>,
     /// Phrases that are right, and the folder below which they are.
     allowed: Vec<(String, String)>,
+    /// Files that are not read.
     skipped: Vec<String>,
+    /// Documents of which only the prose is read.
+    prose: Vec<String>,
+}
+
+/// Where a language's comments and strings start and end.
+struct Syntax {
+    /// What starts a comment that ends with its line.
+    comment: &'static str,
+    /// Starts and ends of other comments and of strings, the longer ones first.
+    quotes: &'static [(&'static str, &'static str)],
+    /// Whether strings may be raw or go over lines, and `'` may start a lifetime.
+    rust: bool,
+}
+
+impl Syntax {
+    /// The syntax of a source; `None` of other files.
+    fn of(file: &str) -> Option<Syntax> {
+        match file.rsplit_once('.')?.1 {
+            "rs" | "wgsl" => Some(Syntax { comment: "//", quotes: &[("\"", "\"")], rust: true }),
+            "js" | "mjs" | "proto" => Some(Syntax {
+                comment: "//",
+                quotes: &[("/*", "*/"), ("\"", "\""), ("'", "'"), ("`", "`")],
+                rust: false,
+            }),
+            "py" => Some(Syntax {
+                comment: "#",
+                quotes: &[("\"\"\"", "\"\"\""), ("'''", "'''"), ("\"", "\""), ("'", "'")],
+                rust: false,
+            }),
+            _ => None,
+        }
+    }
 }
 
 fn root() -> &'static Path {
@@ -63,10 +101,18 @@ fn read_list() -> List {
     for row in rows("allow").iter().chain(&rows("skip")) {
         assert!(word(row, "why").len() > 10, "an exception needs a reason: {row}");
     }
+    for row in rows("skip") {
+        assert!(["", "code"].contains(&&*word(&row, "part")), "`part` is `code` or not there: {row}");
+    }
+    let skipped = |part: &str| {
+        let rows = rows("skip").into_iter().filter(|row| word(row, "part") == part);
+        rows.map(|row| word(&row, "path")).collect()
+    };
     List {
         entries: entries.collect(),
         allowed: rows("allow").iter().map(|row| (words(&word(row, "phrase")), word(row, "under"))).collect(),
-        skipped: rows("skip").iter().map(|row| word(row, "path")).collect(),
+        skipped: skipped(""),
+        prose: skipped("code"),
     }
 }
 
@@ -94,28 +140,53 @@ fn words(text: &str) -> String {
     out
 }
 
+/// A document without its code, line by line as before.
+fn prose(text: &str) -> String {
+    let mut fenced = false;
+    let line_of = |line: &str| {
+        let fence = line.trim_start().starts_with("```");
+        fenced ^= fence;
+        // Code spans are the odd parts between back quotes.
+        let spans = line.split('`').step_by(2);
+        if fence || fenced { String::new() } else { spans.collect::<Vec<_>>().join(" ") }
+    };
+    text.lines().map(line_of).collect::<Vec<_>>().join("\n")
+}
+
+/// Where a string or comment ends whose inside starts at `from`: behind `end`, or with its line where it is `short`.
+fn end_of(text: &str, from: usize, end: &str, short: bool) -> usize {
+    let bytes = text.as_bytes();
+    let mut i = from;
+    while i < bytes.len() && !bytes[i..].starts_with(end.as_bytes()) {
+        if short && bytes[i] == b'\n' {
+            return i;
+        }
+        i += if bytes[i] == b'\\' { 2 } else { 1 };
+    }
+    (i + end.len()).min(bytes.len())
+}
+
 /// The identifiers of a source by line, without comments and strings.
-fn names(text: &str) -> Vec<Vec<&str>> {
+fn names<'a>(text: &'a str, syntax: &Syntax) -> Vec<Vec<&'a str>> {
     let mut found = vec![Vec::new(); text.lines().count() + 1];
     let (bytes, mut i, mut line) = (text.as_bytes(), 0, 0);
     let starts = |i: usize, what: &str| text.get(i..).is_some_and(|rest| rest.starts_with(what));
     let count = |from: usize, to: usize| bytes[from..to].iter().filter(|&&b| b == b'\n').count();
     while i < bytes.len() {
         let from = i;
-        if starts(i, "//") {
+        let quote = syntax.quotes.iter().find(|(start, _)| starts(i, start));
+        if starts(i, syntax.comment) {
             i = text[i..].find('\n').map_or(bytes.len(), |n| i + n);
-        } else if bytes[i] == b'r' && (starts(i, "r\"") || starts(i, "r#\"")) {
+        } else if syntax.rust && bytes[i] == b'r' && (starts(i, "r\"") || starts(i, "r#\"")) {
             let hashes = bytes[i + 1..].iter().take_while(|&&b| b == b'#').count();
             let end = format!("\"{}", "#".repeat(hashes));
             let inside = i + 2 + hashes;
             i = text[inside..].find(&end).map_or(bytes.len(), |n| inside + n + end.len());
-        } else if bytes[i] == b'"' {
-            i += 1;
-            while i < bytes.len() && bytes[i] != b'"' {
-                i += if bytes[i] == b'\\' { 2 } else { 1 };
-            }
-            i = (i + 1).min(bytes.len());
-        } else if bytes[i] == b'\'' {
+        } else if let Some((start, end)) = quote {
+            // A quote that closes nothing, as in a pattern of JavaScript, hides no more than its line.
+            let short = !syntax.rust && ["\"", "'"].contains(end);
+            i = end_of(text, i + start.len(), end, short);
+        } else if syntax.rust && bytes[i] == b'\'' {
             // A character, or a lifetime: that has no second quote right behind.
             let quoted = text[i + 1..].char_indices().nth(1).is_some_and(|(n, c)| c == '\'' && n > 0);
             let escaped = starts(i, "'\\");
@@ -140,23 +211,23 @@ fn names(text: &str) -> Vec<Vec<&str>> {
     found
 }
 
-/// The files of the repository, by their names from its root: no build results, no hidden folders but `.ci`.
+/// The files of the repository, by their names from its root: no build results, no folders with a dot but `.ci`.
 fn files() -> Vec<String> {
     let (mut found, mut open) = (Vec::new(), vec![PathBuf::new()]);
     while let Some(folder) = open.pop() {
         for entry in std::fs::read_dir(root().join(&folder)).expect("a folder").flatten() {
             let name = entry.file_name().to_string_lossy().into_owned();
             let path = folder.join(&name);
-            let hidden = name.starts_with('.') && name != ".ci";
+            let dotted = name.starts_with('.') && name != ".ci";
             if entry.path().is_dir() {
                 let built = ["target", "runs", "node_modules"].contains(&name.as_str());
-                if !hidden && !built {
+                if !dotted && !built {
                     open.push(path);
                 }
                 continue;
             }
             let text = path.extension().is_some_and(|e| KINDS.contains(&e.to_string_lossy().as_ref()));
-            if text || path.starts_with(".ci") {
+            if text || SCRIPTS.iter().any(|folder| path.starts_with(folder)) {
                 found.push(path.to_string_lossy().replace('\\', "/"));
             }
         }
@@ -167,8 +238,8 @@ fn files() -> Vec<String> {
 
 /// Every word of the list in a file: line, phrase, what to use instead.
 fn refused(list: &List, file: &str, text: &str) -> Vec<String> {
-    let is_code = file.ends_with(".rs") || file.ends_with(".wgsl");
-    let named = if is_code { names(text) } else { Vec::new() };
+    let syntax = Syntax::of(file);
+    let named = syntax.as_ref().map_or(Vec::new(), |syntax| names(text, syntax));
     let mut wrong = Vec::new();
     for (i, line) in text.lines().enumerate() {
         let without_allowed = |mut text: String| {
@@ -184,7 +255,7 @@ fn refused(list: &List, file: &str, text: &str) -> Vec<String> {
             named.get(i).map_or(Vec::new(), |ids| ids.iter().map(|id| words(id)).collect());
         let ids: Vec<String> = ids.into_iter().map(without_allowed).collect();
         for entry in list.entries.iter().filter(|entry| file.starts_with(&entry.under)) {
-            if entry.scope != Scope::Text && !is_code {
+            if entry.scope != Scope::Text && syntax.is_none() {
                 continue;
             }
             let has = |phrase: &&String| match entry.scope {
@@ -199,19 +270,43 @@ fn refused(list: &List, file: &str, text: &str) -> Vec<String> {
     wrong
 }
 
+/// The files that are read, with what of their text is.
+fn texts(list: &List) -> Vec<(String, String)> {
+    let is_of = |file: &str, paths: &[String]| paths.iter().any(|path| file.starts_with(path));
+    let read = |file: String| {
+        let text = std::fs::read_to_string(root().join(&file)).ok()?;
+        let text = if is_of(&file, &list.prose) { prose(&text) } else { text };
+        Some((file, text))
+    };
+    files().into_iter().filter(|file| !is_of(file, &list.skipped)).filter_map(read).collect()
+}
+
 #[test]
 fn no_word_of_the_old_language_comes_back() {
     let list = read_list();
-    let mut wrong = Vec::new();
-    let mut read = 0;
-    for file in files().iter().filter(|file| !list.skipped.iter().any(|skip| file.starts_with(skip))) {
-        if let Ok(text) = std::fs::read_to_string(root().join(file)) {
-            read += 1;
-            wrong.extend(refused(&list, file, &text));
-        }
-    }
-    assert!(read > 500, "files are read: {read}");
+    let texts = texts(&list);
+    assert!(texts.len() > 500, "files are read: {}", texts.len());
+    let wrong: Vec<String> = texts.iter().flat_map(|(file, text)| refused(&list, file, text)).collect();
     assert!(wrong.is_empty(), "{} words of tests/words.toml:\n{}", wrong.len(), wrong.join("\n"));
+}
+
+#[test]
+fn no_word_is_allowed_that_nothing_needs() {
+    let mut list = read_list();
+    let texts: Vec<(String, String, String)> =
+        texts(&list).into_iter().map(|(file, text)| (file, words(&text), text)).collect();
+    let mut idle = Vec::new();
+    for i in 0..list.allowed.len() {
+        let (phrase, under) = list.allowed.remove(i);
+        let needed = texts.iter().any(|(file, words, text)| {
+            file.starts_with(&under) && words.contains(&phrase) && !refused(&list, file, text).is_empty()
+        });
+        if !needed {
+            idle.push(format!("`{}` under `{under}`", phrase.trim()));
+        }
+        list.allowed.insert(i, (phrase, under));
+    }
+    assert!(idle.is_empty(), "take these off the list of tests/words.toml: {idle:?}");
 }
 
 #[test]
@@ -225,6 +320,19 @@ fn a_word_is_found_in_names_comments_and_strings_and_not_where_it_is_allowed() {
     assert_eq!(of("let look = 1;"), 1);
     assert_eq!(of("// it looks at the photo"), 0, "a verb of a sentence is no name");
     assert_eq!(of("let estranged = 1;"), 0, "a part of a word is no word");
+    let of = |file: &str, text: &str| refused(&list, file, text).len();
+    for file in ["a.js", "a.proto"] {
+        assert_eq!(of(file, "look = 1; // a rung\n"), 2, "{file}");
+        assert_eq!(of(file, "x = \"look\" /* look\n look */ + 'look' + `\n look`;\n"), 0, "{file}");
+    }
+    assert_eq!(
+        of("a.js", "x.replace(/\"/, y); // it's\nlook();"),
+        1,
+        "a quote of a pattern ends with its line"
+    );
+    assert_eq!(of("a.py", "x = '''it's\n look'''  # a look's\nlook = 'look'\n"), 2);
+    assert_eq!(of("a.md", "look = `look`"), 0, "a document has no names");
+    assert_eq!(prose("a `--b` c\n```\nd\n```\ne"), "a   c\n\n\n\ne");
     assert_eq!(words("AppearanceMaps of GPUs, set_by"), " appearance maps of gp us set by ");
 }
 
