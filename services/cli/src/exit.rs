@@ -3,7 +3,7 @@
 use segwild_farm::ErrorClass;
 use segwild_flow::files::Obstacle;
 
-/// Everything asked for was done.
+/// All that was requested is done.
 pub const OK: u8 = 0;
 /// Something failed that should not have: a bug or a broken machine.
 pub const FAILED: u8 = 1;

@@ -13,7 +13,7 @@ mod progress;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use std::process::ExitCode;
 
-/// Whether the innermost command was asked for JSON.
+/// Whether the innermost command is to print JSON.
 fn wants_json(matches: &clap::ArgMatches) -> bool {
     match matches.subcommand() {
         Some((_, inner)) => wants_json(inner),

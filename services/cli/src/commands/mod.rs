@@ -328,9 +328,9 @@ mod tests {
         for (path, command) in all_commands() {
             for arg in command.get_arguments().filter(|arg| arg.get_action().takes_values()) {
                 let id = arg.get_id();
-                let hidden = arg.is_hide_set() && arg.get_value_names().is_none();
+                let unlisted = arg.is_hide_set() && arg.get_value_names().is_none();
                 let names = arg.get_value_names().unwrap_or_default();
-                assert!(hidden || !names.is_empty(), "{path}: {id}");
+                assert!(unlisted || !names.is_empty(), "{path}: {id}");
                 assert!(
                     names.iter().all(|name| !name.contains(char::is_lowercase)),
                     "{path}: {id}: {names:?}"
@@ -340,7 +340,7 @@ mod tests {
     }
 
     /// Flags of which each command says in words of its own what they do there, and the one meaning that all of these have.
-    const MEANINGS: [(&str, &str); 21] = [
+    const SHARED_TEXTS: [(&str, &str); 21] = [
         ("adapter", "part of the accelerator's name"),
         ("appearance", "the photo whose appearance is used"),
         ("clicks-per-object", "clicks on each object, each measured by itself"),
@@ -383,13 +383,13 @@ mod tests {
             }
         }
         for (long, texts) in &texts {
-            let listed = MEANINGS.iter().any(|(flag, _)| flag == long);
+            let listed = SHARED_TEXTS.iter().any(|(flag, _)| flag == long);
             if listed != (texts.len() > 1) {
                 wrong.push(format!("--{long}, on the list: {listed}, has the texts {texts:#?}"));
             }
         }
         assert!(wrong.is_empty(), "{wrong:#?}");
-        assert!(MEANINGS.iter().all(|(flag, _)| texts.contains_key(*flag)));
+        assert!(SHARED_TEXTS.iter().all(|(flag, _)| texts.contains_key(*flag)));
         assert!(forms.len() > 100, "{}", forms.len());
     }
 

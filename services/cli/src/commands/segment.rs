@@ -60,7 +60,7 @@ pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
     let folder = RunFolder::open(&path_of(matches, "run").expect("clap requires it"))?;
     let replay = replay(matches, &folder)?;
     let mut settings: Settings = folder.settings()?;
-    // What the selection was made with, then what is asked for now.
+    // What the selection was made with, then what is requested now.
     settings.segment = replay.settings.clone().unwrap_or(settings.segment);
     let flags = crate::args::given(matches);
     for (name, value) in &flags {
@@ -89,7 +89,7 @@ pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
     let others =
         done.alternatives.iter().enumerate().filter(|(i, _)| *i != settings.segment.alternative as usize);
     let others: Vec<String> = others
-        .map(|(i, meaning)| match meaning {
+        .map(|(i, alternative)| match alternative {
             Alternative::Group(area) => format!("--alternative {i} ({:.1} % of the scene)", 100.0 * area),
             Alternative::Photo => format!("--alternative {i} (the clicked photo's own mask)"),
         })

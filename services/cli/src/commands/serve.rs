@@ -102,7 +102,7 @@ pub fn serve_args(command: Command) -> Command {
         .arg(flag("open", "Open the page in the browser").requires("serve"))
 }
 
-/// The page of a run that is about to start, if it was asked for.
+/// The page of a run that is about to start, if it is requested.
 pub fn page_of_run(matches: &ArgMatches, folder: &Path, json: bool) -> Result<Option<StudioServer>, Failure> {
     if !matches.get_flag("serve") {
         return Ok(None);

@@ -106,7 +106,7 @@ pub struct SelectionMaskScore {
     /// IoU of the amodal mask (the object alone).
     pub amodal_iou: f64,
     /// Share of the light of the object alone that lies outside the true mask, by over 2 % of the diagonal, in [0, 1]: haze and
-    /// streaks that an exported object has around it, too faint for a mask or not. 0 where the object does not show.
+    /// streaks that an exported object has around it, however thin. 0 where the object does not show.
     pub stray_light: f64,
 }
 
@@ -370,8 +370,8 @@ mod tests {
         assert_eq!(stray_light(&share(1.0, 0, 42), truth()), 0.0, "2 % of the diagonal are near");
         assert_eq!(stray_light(&share(0.2, 80, 100), truth()), 1.0);
         assert_eq!(stray_light(&share(0.0, 0, 0), truth()), 0.0, "an object that does not show");
-        let mut faint = share(1.0, 0, 40);
-        faint.data.iter_mut().zip(share(0.1, 60, 100).data).for_each(|(a, b)| *a += b);
-        assert!((stray_light(&faint, truth()) - 4.0 / 44.0).abs() < 1e-6);
+        let mut hazy = share(1.0, 0, 40);
+        hazy.data.iter_mut().zip(share(0.1, 60, 100).data).for_each(|(a, b)| *a += b);
+        assert!((stray_light(&hazy, truth()) - 4.0 / 44.0).abs() < 1e-6);
     }
 }

@@ -54,7 +54,7 @@ pub fn command() -> Command {
         .arg(json())
 }
 
-/// Compares, and fails if asked to.
+/// Compares, and fails on a change with `--fail`.
 pub fn compare(matches: &ArgMatches) -> Result<(), Failure> {
     let read = |name: &str| {
         let file = matches.get_one::<PathBuf>(name).expect("clap requires it");

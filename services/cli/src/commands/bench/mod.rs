@@ -58,7 +58,7 @@ pub fn command() -> Command {
         .subcommand(studio::command())
 }
 
-/// Measures what was asked for.
+/// Measures what is requested.
 pub fn bench(matches: &ArgMatches) -> Result<(), Failure> {
     match matches.subcommand() {
         Some(("farm", m)) => farm::farm(m),

@@ -76,7 +76,7 @@ pub fn with_table(command: Command, default: &'static str) -> Command {
     )
 }
 
-/// The table that was asked for.
+/// The requested table.
 pub fn table(matches: &ArgMatches) -> Table {
     match matches.get_one::<String>("table").map(String::as_str) {
         Some("baselines") => Table::Baselines,
@@ -155,7 +155,7 @@ pub fn tell(json: bool) -> impl FnMut(&Record) {
     }
 }
 
-/// Prints the tables, and writes the page if one was asked for.
+/// Prints the tables, and writes the page if one is requested.
 pub fn finish(flags: &ProtocolFlags, title: &str) -> Result<(), Failure> {
     if let Some(file) = &flags.page {
         let text = page(title, std::slice::from_ref(&flags.results));
