@@ -31,51 +31,62 @@ const BOX_WEIGHT: f32 = 64.0;
 /// (method, section 6.1). By choice.
 const FRAME_MARGIN: f32 = 0.01;
 
-/// Evidence against the splats that the boxes of the prompted photos leave out; none where a positive click hits them: then the
-/// boxes are no bounds.
-pub(crate) fn against(request: &Request, positive: &[ClickHit]) -> Result<Evidence, SegmentError> {
-    let mut against = Evidence::none(request.splats.len());
-    for prompt in request.prompts.iter().filter(|p| bounds(p)) {
-        let evidence = evidence(request, prompt)?;
-        for i in 0..request.splats.len() {
-            if evidence.rho(i).is_some_and(|inside| inside < MAX_SHARE_INSIDE) {
-                against.outside[i] += BOX_WEIGHT * evidence.outside[i];
-                against.known[i] += BOX_WEIGHT * evidence.known[i];
+/// Coverage evidence `K_f`, in views, from which a splat whose centre lies beyond the frame reaches into the photo: its pixels
+/// there decide (method, section 6.1). By choice.
+const MIN_COVERAGE_INSIDE: f32 = 0.1;
+
+/// What the boxes of all prompted photos leave out.
+pub(crate) struct BoxBounds {
+    /// Evidence against the splats that the photos see outside of their boxes.
+    pub against: Evidence,
+    /// The splats that can never be selected: those of the request, and those beyond the frame of a photo whose boxes lie within
+    /// it. `None` where there are none.
+    pub frozen: Option<Vec<bool>>,
+}
+
+impl BoxBounds {
+    /// Of a request. A positive click that hits what the boxes leave out says that they are no bounds.
+    pub fn of(request: &Request, positive: &[ClickHit]) -> Result<BoxBounds, SegmentError> {
+        let n = request.splats.len();
+        let (mut against, mut beyond) = (Evidence::none(n), vec![false; n]);
+        for prompt in request.prompts.iter().filter(|p| bounds(p)) {
+            let seen = evidence(request, prompt)?;
+            let PosedView { camera, pose, .. } = view(request, prompt.view)?;
+            let ends: Vec<BoxPrompt> = prompt.boxes.iter().map(|b| open_at_frame(b, camera)).collect();
+            for i in 0..n {
+                if seen.rho(i).is_some_and(|inside| inside < MAX_SHARE_INSIDE) {
+                    against.outside[i] += BOX_WEIGHT * seen.outside[i];
+                    against.known[i] += BOX_WEIGHT * seen.known[i];
+                }
+                beyond[i] |= seen.known[i] < MIN_COVERAGE_INSIDE
+                    && lies_beyond(&ends, camera, pose.to_camera(request.splats.mean(i)));
             }
         }
-    }
-    match contradicted(positive, |splat| against.outside[splat] > 0.0) {
-        true => Ok(Evidence::none(request.splats.len())),
-        false => Ok(against),
-    }
-}
-
-/// The splats that can never be selected: those of the request, and those beyond the frame of a prompted photo whose boxes lie
-/// within it. `None` where there are none, and none but the request's where a positive click hits the others.
-pub(crate) fn frozen(request: &Request, positive: &[ClickHit]) -> Result<Option<Vec<bool>>, SegmentError> {
-    let mut beyond = vec![false; request.splats.len()];
-    for prompt in request.prompts.iter().filter(|p| bounds(p)) {
-        let PosedView { camera, pose, .. } = view(request, prompt.view)?;
-        let ends: Vec<BoxPrompt> = prompt.boxes.iter().map(|b| open_at_frame(b, camera)).collect();
-        for (splat, beyond) in beyond.iter_mut().enumerate() {
-            *beyond |= lies_beyond(&ends, camera, pose.to_camera(request.splats.mean(splat)));
+        if contradicted(positive, |splat| against.outside[splat] > 0.0 || beyond[splat]) {
+            (against, beyond) = (Evidence::none(n), Vec::new());
         }
+        let own = request.frozen.unwrap_or(&[]);
+        let frozen = match beyond.contains(&true) {
+            true => Some((0..n).map(|i| beyond[i] || own.get(i) == Some(&true)).collect()),
+            false => request.frozen.map(<[bool]>::to_vec),
+        };
+        Ok(BoxBounds { against, frozen })
     }
-    if !beyond.contains(&true) || contradicted(positive, |splat| beyond[splat]) {
-        return Ok(request.frozen.map(<[bool]>::to_vec));
-    }
-    for (beyond, frozen) in beyond.iter_mut().zip(request.frozen.unwrap_or(&[])) {
-        *beyond |= frozen;
-    }
-    Ok(Some(beyond))
 }
 
-/// A box whose sides at the photo's frame are moved to infinity: the object may go on there.
+/// How far around a box the object may reach, in its pixels.
+fn margin(b: &BoxPrompt) -> f32 {
+    (BOX_MARGIN * (b.x1 - b.x0).abs().max((b.y1 - b.y0).abs())).max(MIN_MARGIN)
+}
+
+/// A box with its margin, whose sides at the photo's frame are moved to infinity: the object may go on there.
 fn open_at_frame(b: &BoxPrompt, photo: &Camera) -> BoxPrompt {
     let (w, h) = (photo.width as f32, photo.height as f32);
     let near = FRAME_MARGIN * w.max(h);
-    let low = |a: f32, b: f32| if a.min(b) <= near { f32::NEG_INFINITY } else { a.min(b) };
-    let high = |a: f32, b: f32, end: f32| if a.max(b) >= end - near { f32::INFINITY } else { a.max(b) };
+    let around = margin(b);
+    let low = |a: f32, b: f32| if a.min(b) <= near { f32::NEG_INFINITY } else { a.min(b) - around };
+    let high =
+        |a: f32, b: f32, end: f32| if a.max(b) >= end - near { f32::INFINITY } else { a.max(b) + around };
     BoxPrompt { x0: low(b.x0, b.x1), y0: low(b.y0, b.y1), x1: high(b.x0, b.x1, w), y1: high(b.y0, b.y1, h) }
 }
 
@@ -124,7 +135,6 @@ fn evidence(request: &Request, prompt: &PromptedView) -> Result<Evidence, Segmen
 /// The pixels of the boxes with their margins, and of the mask. `photo`: the camera in whose pixels boxes are given.
 fn within(prompt: &PromptedView, photo: &Camera, working: &Camera) -> Mask {
     let (sx, sy) = (photo.width as f32 / working.width as f32, photo.height as f32 / working.height as f32);
-    let margin = |b: &BoxPrompt| (BOX_MARGIN * (b.x1 - b.x0).abs().max((b.y1 - b.y0).abs())).max(MIN_MARGIN);
     let mask = prompt.mask.resized(working.width, working.height);
     Mask::from_fn(working.width, working.height, |x, y| {
         let (u, v) = ((x as f32 + 0.5) * sx, (y as f32 + 0.5) * sy);

@@ -189,9 +189,11 @@ impl LabelFusion<'_> {
         }
         let (mut inside, mut outside) =
             ([BIN_COVERAGE / BINS as f64; BINS], [BIN_COVERAGE / BINS as f64; BINS]);
-        for i in (0..self.graph.len()).filter(|&i| !self.is_frozen(i)) {
+        for i in 0..self.graph.len() {
             let at = bin(similarities.merit(i));
+            // What photos hold against frozen splats is true of others that resemble them.
             let (within, beyond) = evidence.sides(i);
+            let within = if self.is_frozen(i) { 0.0 } else { within };
             inside[at] += f64::from(within);
             outside[at] += f64::from(beyond);
         }

@@ -1,5 +1,6 @@
 //! Prompts to labels on splats (method, section 6).
 
+use crate::box_bounds::BoxBounds;
 use crate::coverage::{unoccluded, visible};
 use crate::feature_clusters::cluster_features;
 use crate::label_fusion::{FusionState, LabelFusion, SPREAD_STEPS, Similarities};
@@ -9,7 +10,7 @@ use crate::settings::{ComponentRule, CutBy, SimilarityUse};
 use crate::steps::AnswerStep;
 use crate::{
     ClickHit, CutView, Evidence, MaskVote, NeighbourGraph, PhotoVisit, Refiner, SegmentError, SpikeCut,
-    SplatFeatures, box_bounds, components, propagate, smooth,
+    SplatFeatures, components, propagate, smooth,
 };
 use glam::Vec2;
 
@@ -61,7 +62,7 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
     check(request)?;
     let (settings, splats) = (request.settings, request.splats);
     let (positive, negative) = hits(request)?;
-    let frozen = box_bounds::frozen(request, &positive)?;
+    let BoxBounds { against, frozen } = BoxBounds::of(request, &positive)?;
     let request = &Request { frozen: frozen.as_deref(), ..*request };
     let mut prompted = Evidence::none(splats.len());
     for prompt in request.prompts {
@@ -72,7 +73,7 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
     }
     // The masks alone say how well an answer agrees with the prompts: what a box leaves out weighs too much for that.
     let masks = prompted.clone();
-    prompted.add(&box_bounds::against(request, &positive)?, 1.0);
+    prompted.add(&against, 1.0);
     let similarities = similarities(request, &prompted, &positive, &negative)?;
     // Where masks take no part, there is nothing to carry to other photos.
     let alone = settings.similarity_use == SimilarityUse::Alone;
@@ -228,7 +229,7 @@ pub fn cut(request: &Request, selection: &Selection) -> Result<SpikeCut, Segment
         let votes: Vec<MaskVote> = prompted.chain(others).collect();
         let settings = request.settings;
         let near = request.options.near;
-        let frozen = box_bounds::frozen(request, &hits(request)?.0)?;
+        let frozen = BoxBounds::of(request, &hits(request)?.0)?.frozen;
         let astride = astride(&Request { frozen: frozen.as_deref(), ..*request }, selection);
         let labels = &selection.labels;
         return Ok(SpikeCut::cut_by_votes(request.splats, labels, &astride, &votes, settings.spikes, near));
