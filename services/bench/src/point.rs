@@ -126,7 +126,7 @@ pub enum PointError {
     NoTruth(PathBuf),
     /// The folder of true masks cannot be read.
     #[error(transparent)]
-    Truth(#[from] ProtocolError),
+    Truth(Box<ProtocolError>),
     /// A process of its own could not be started, or did not answer.
     #[error("a point was not measured: {0}")]
     Child(String),
@@ -135,6 +135,12 @@ pub enum PointError {
 impl From<RunError> for PointError {
     fn from(error: RunError) -> PointError {
         TrialError::from(error).into()
+    }
+}
+
+impl From<ProtocolError> for PointError {
+    fn from(error: ProtocolError) -> PointError {
+        PointError::Truth(Box::new(error))
     }
 }
 

@@ -283,7 +283,7 @@ impl From<PointError> for Failure {
     fn from(error: PointError) -> Failure {
         match error {
             PointError::Trial(e) => e.into(),
-            PointError::Truth(e) => e.into(),
+            PointError::Truth(e) => (*e).into(),
             PointError::NoTruth(_) => Failure { message: error.to_string(), code: exit::INPUT },
             PointError::Child(_) => Failure { message: error.to_string(), code: exit::FAILED },
         }
