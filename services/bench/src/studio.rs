@@ -140,7 +140,13 @@ pub fn studio(target: &StudioTarget) -> Result<StudioFigures, StudioBenchError> 
     let (mut first_answer_s, mut last_answer_s) = (Vec::new(), Vec::new());
     for part in description["listed"].as_array().into_iter().flatten().take(CLICKED) {
         let photo = part["photo"].as_u64().unwrap_or(0) as usize;
-        let Some([x, y]) = client.pixel_of(part, &photos[photo])? else { continue };
+        let Some(shown) = photos.get(photo) else {
+            return Err(refused(
+                &client.base,
+                format!("a part is listed in photo {photo} of {}", photos.len()),
+            ));
+        };
+        let Some([x, y]) = client.pixel_of(part, shown)? else { continue };
         let prompt = json!({ "photo": photo, "points": [{ "x": x, "y": y, "inside": true }] });
         let (first, last) = client.click(&prompt)?;
         first_answer_s.push(first);
