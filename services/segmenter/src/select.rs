@@ -48,6 +48,8 @@ pub struct Selection {
     pub evidence: Evidence,
     /// The result of each photo that the selection was carried to, in the order of the last round.
     pub visits: Vec<PhotoVisit>,
+    /// The splats that could not be selected: the request's, and those that its boxes bar; `None` where there are none.
+    pub frozen: Option<Vec<bool>>,
     /// Connected parts taken away.
     pub parts_removed: usize,
     /// IoU of the selection with the prompted masks, in visible light of the prompted photos.
@@ -178,6 +180,7 @@ fn decide(
         similarity: fusion.similarities.as_ref().map(|s| s.positive.clone()),
         evidence: state.evidence,
         visits,
+        frozen: request.frozen.map(<[bool]>::to_vec),
         parts_removed,
         agreement: agreement as f32,
         alone: false,
@@ -190,7 +193,7 @@ fn astride(request: &Request, selection: &Selection) -> Vec<bool> {
     let (labels, evidence) = (&selection.labels, &selection.evidence);
     let mut astride: Vec<bool> = (0..request.splats.len())
         .map(|i| {
-            let barred = labels[i] || request.frozen.is_some_and(|f| f[i]);
+            let barred = labels[i] || selection.frozen.as_ref().is_some_and(|f| f[i]);
             !barred
                 && evidence.known[i] >= ASTRIDE_COVERAGE
                 && evidence.rho(i).is_some_and(|rho| rho >= ASTRIDE_SHARE)
@@ -229,8 +232,7 @@ pub fn cut(request: &Request, selection: &Selection) -> Result<SpikeCut, Segment
         let votes: Vec<MaskVote> = prompted.chain(others).collect();
         let settings = request.settings;
         let near = request.options.near;
-        let frozen = BoxBounds::of(request, &hits(request)?.0)?.frozen;
-        let astride = astride(&Request { frozen: frozen.as_deref(), ..*request }, selection);
+        let astride = astride(request, selection);
         let labels = &selection.labels;
         return Ok(SpikeCut::cut_by_votes(request.splats, labels, &astride, &votes, settings.spikes, near));
     }

@@ -319,6 +319,7 @@ fn a_splat_far_from_the_object_gives_it_no_piece_though_masks_hold_half_of_it() 
         similarity: None,
         evidence,
         visits: vec![visit],
+        frozen: None,
         parts_removed: 0,
         agreement: 1.0,
         alone: false,
