@@ -60,7 +60,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let ones = vec![1.0; (w * h) as usize];
         for (object, evidence) in objects.iter().zip(&mut evidence) {
             let inside = soft(&truth(&view.name).mask(object.id), w, h);
-            evidence.add(&coverage(&*projected, &whole, &inside, &ones, (w, h), 0.0, Vote::View)?, 1.0);
+            evidence.add(&coverage(&*projected, &whole, &inside, &ones, (w, h), Vote::View)?, 1.0);
         }
     }
     let labels = trial.scene().label(&scene.frame, &model.splats.means);

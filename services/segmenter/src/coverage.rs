@@ -106,15 +106,14 @@ pub fn unoccluded(splats: &Splats, camera: &Camera, pose: &Pose, options: &Proje
 }
 
 /// Evidence of one view in coverage mode. `inside` and `weight` have one number per pixel: how much of the
-/// pixel the mask covers times the pixel's weight, and the weight. Splats of whose light less than the share
-/// `seen` reaches the camera are not decided. Weights are in [0, 1]. `worth` is the unit of the evidence.
+/// pixel the mask covers times the pixel's weight, and the weight. Weights are in [0, 1]. `worth` is the unit of
+/// the evidence.
 pub fn coverage(
     projected: &dyn Projected,
     unoccluded: &[f32],
     inside: &[f32],
     weight: &[f32],
     size: (u32, u32),
-    seen: f32,
     worth: Vote,
 ) -> Result<Evidence, RasterError> {
     let mut data = Vec::with_capacity(2 * inside.len());
@@ -125,7 +124,7 @@ pub fn coverage(
     let mut evidence = Evidence::none(unoccluded.len());
     for (i, sum) in sums.chunks_exact(2).enumerate() {
         let (within, all) = (sum[0].min(sum[1]), sum[1]);
-        if all > 0.0 && all >= seen * unoccluded[i] {
+        if all > 0.0 {
             let vote = match worth {
                 Vote::View => 1.0 / (unoccluded[i].max(all) + VOTE_FLOOR),
                 Vote::Light => 1.0,
@@ -142,13 +141,13 @@ pub fn coverage(
 }
 
 /// Evidence of one view in centre mode: each splat in the frame whose centre lies in the mask is inside.
-/// Occlusion does not matter (the paper's reading), unless `visible` selects the splats that count.
-pub fn centre(projected: &dyn Projected, mask: &Mask, near: f32, visible: Option<&[bool]>) -> Evidence {
+/// Occlusion does not matter (the paper's reading).
+pub fn centre(projected: &dyn Projected, mask: &Mask, near: f32) -> Evidence {
     let centres = projected.centres();
     let mut evidence = Evidence::none(centres.len());
     for (i, (&[u, v], &depth)) in centres.iter().zip(projected.depths()).enumerate() {
         let in_frame = u >= 0.0 && v >= 0.0 && u < mask.width() as f32 && v < mask.height() as f32;
-        if depth > near && in_frame && visible.is_none_or(|seen| seen[i]) {
+        if depth > near && in_frame {
             let side = if mask.at(u, v) { &mut evidence.inside } else { &mut evidence.outside };
             side[i] = 1.0;
             evidence.known[i] = 1.0;
@@ -157,15 +156,10 @@ pub fn centre(projected: &dyn Projected, mask: &Mask, near: f32, visible: Option
     evidence
 }
 
-/// Which splats a view sees: at least the share `seen` of their light reaches the camera.
-pub fn visible(
-    projected: &dyn Projected,
-    unoccluded: &[f32],
-    size: (u32, u32),
-    seen: f32,
-) -> Result<Vec<bool>, RasterError> {
+/// Which splats a view sees: some of their light reaches the camera.
+pub fn visible(projected: &dyn Projected, size: (u32, u32)) -> Result<Vec<bool>, RasterError> {
     let sums = projected.gather(&Image::filled(size.0 as usize, size.1 as usize, 1, 1.0))?;
-    Ok(sums.iter().zip(unoccluded).map(|(&sum, &all)| sum > 0.0 && sum >= seen * all).collect())
+    Ok(sums.into_iter().map(|sum| sum > 0.0).collect())
 }
 
 /// A rendered share, clamped to [0, 1]; NaN counts as 0.

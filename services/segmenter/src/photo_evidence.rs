@@ -1,6 +1,6 @@
 //! The evidence of one photo's mask for the splats (method, section 6).
 
-use crate::coverage::{centre, coverage, soft, unoccluded, visible};
+use crate::coverage::{centre, coverage, soft, unoccluded};
 use crate::request::{PosedView, PromptedView, Request, project, view, working_camera};
 use crate::settings::EvidenceMode;
 use crate::{Evidence, SegmentError, depth_layers, occlusion};
@@ -59,18 +59,16 @@ pub(crate) fn view_evidence(
     weights: &[f32],
 ) -> Result<Evidence, SegmentError> {
     let (settings, size) = (request.settings, (camera.width, camera.height));
-    let whole = || unoccluded(request.splats, camera, &view.pose, &request.options);
     match settings.evidence_mode {
         EvidenceMode::Coverage => {
             let mut inside = soft(mask, size.0, size.1);
             inside.iter_mut().zip(weights).for_each(|(inside, weight)| *inside *= weight);
-            coverage(projected, &whole(), &inside, weights, size, settings.seen, settings.vote)
+            let whole = unoccluded(request.splats, camera, &view.pose, &request.options);
+            coverage(projected, &whole, &inside, weights, size, settings.vote)
                 .map_err(SegmentError::raster(&view.name))
         }
         EvidenceMode::Centre => {
-            let seen = settings.centre_visible.then(|| visible(projected, &whole(), size, settings.seen));
-            let seen = seen.transpose().map_err(SegmentError::raster(&view.name))?;
-            Ok(centre(projected, &mask.resized(size.0, size.1), request.options.near, seen.as_deref()))
+            Ok(centre(projected, &mask.resized(size.0, size.1), request.options.near))
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Carrying a selection from the prompted photos to all others and back: each photo's own boundaries correct
 //! the rendered prior, and its evidence decides splats that no prompted photo sees.
 
-use crate::coverage::{clean, soft, unoccluded, visible};
+use crate::coverage::{clean, soft, visible};
 use crate::label_fusion::{FusionState, LEAST_HINT, LabelFusion, SPREAD_STEPS, sure};
 use crate::photo_evidence::view_evidence;
 use crate::request::{project, working_camera};
@@ -233,12 +233,9 @@ fn seen_by(request: &Request, index: usize) -> Result<SplatSet, SegmentError> {
     let view = &request.views[index];
     let camera = view.camera.scaled_to(ORDER_SIZE);
     let projected = project(request, view, &camera)?;
-    let whole = unoccluded(request.splats, &camera, &view.pose, &request.options);
-    Ok(SplatSet::new(
-        visible(&*projected, &whole, (camera.width, camera.height), request.settings.seen)
-            .map_err(SegmentError::raster(&view.name))?
-            .into_iter(),
-    ))
+    let seen =
+        visible(&*projected, (camera.width, camera.height)).map_err(SegmentError::raster(&view.name))?;
+    Ok(SplatSet::new(seen.into_iter()))
 }
 
 /// The open views that show a decided part of the object, those first of which the largest share of what could be the

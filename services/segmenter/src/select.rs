@@ -1,7 +1,7 @@
 //! Prompts to labels on splats (method, section 6).
 
 use crate::box_bounds::BoxBounds;
-use crate::coverage::{unoccluded, visible};
+use crate::coverage::visible;
 use crate::feature_clusters::cluster_features;
 use crate::label_fusion::{FusionState, LabelFusion, SPREAD_STEPS, Similarities};
 use crate::photo_evidence::prompted_evidence;
@@ -145,9 +145,8 @@ fn labelled(
     let mut labels = fusion.labels(state);
     none_left(&labels, "none lies in the masks and resembles the clicks")?;
     if settings.graph_cut {
-        let smoothness = settings.graph_cut_smoothness;
-        labels = smooth::graph_cut(graph, &fusion.affinities, &state.probability, request.frozen, smoothness);
-        none_left(&labels, "the graph cut smoothed all away: lower `graph_cut_smoothness`")?;
+        labels = smooth::graph_cut(graph, &fusion.affinities, &state.probability, request.frozen);
+        none_left(&labels, "the graph cut smoothed all away: switch `graph_cut` off")?;
     }
     let mut parts_removed = 0;
     if settings.components == ComponentRule::Clicked {
@@ -241,8 +240,7 @@ pub fn cut(request: &Request, selection: &Selection) -> Result<SpikeCut, Segment
         let view = view(request, prompt.view)?;
         let camera = working_camera(request, view, Some(prompt.mask));
         let projected = project(request, view, &camera)?;
-        let whole = unoccluded(request.splats, &camera, &view.pose, &request.options);
-        let seen = visible(&*projected, &whole, (camera.width, camera.height), request.settings.seen);
+        let seen = visible(&*projected, (camera.width, camera.height));
         sees.push(seen.map_err(SegmentError::raster(&view.name))?);
     }
     let views: Vec<CutView> = meant(request)

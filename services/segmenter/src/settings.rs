@@ -110,14 +110,10 @@ segwild_scene::settings! {
         vote: Vote = Vote::View,
         /// What becomes of splats that no mask decides.
         undecided: Undecided = Undecided::Neighbours,
-        /// In centre mode, let masks decide only splats that the view sees.
-        centre_visible: bool = false,
         /// Share of a splat's evidence that must lie inside the masks.
         rho: f32 = 0.5 => 0.0..=1.0,
         /// Extra evidence against selecting, in views (in pixels with `vote` = light): larger keeps fewer splats.
         gamma: f32 = 0.0 => -1e4..=1e4,
-        /// Share of a splat's light that must reach the camera for the view to decide it.
-        seen: f32 = 0.0 => 0.0..=1.0,
         /// Least evidence of all views together that decides a splat, in views (in pixels with `vote` = light): what is
         /// known less of follows its neighbours.
         least_evidence: f32 = 0.03 => 0.0..=1e4,
@@ -136,8 +132,6 @@ segwild_scene::settings! {
         component_share: f32 = 0.05 => 0.0..=1.0,
         /// Smooth the selection by a graph cut over position and colour.
         graph_cut: bool = false,
-        /// Strength of that smoothing.
-        graph_cut_smoothness: f32 = 1.0 => 0.0..=1e4,
         /// Rounds in which other photos refine the selection. 0 uses the prompted photos only.
         propagate: u32 = 2 => 0..=16,
         /// Photos that a round visits at most.

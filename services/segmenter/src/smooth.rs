@@ -6,7 +6,7 @@ use crate::maxflow::FlowNetwork;
 /// Whole-number steps per unit of energy.
 const STEPS: f32 = 10_000.0;
 
-/// The labels that minimise `sum_i -log P(label_i) + smoothness * sum_ij w_ij [label_i != label_j]`.
+/// The labels that minimise `sum_i -log P(label_i) + sum_ij w_ij [label_i != label_j]`.
 ///
 /// `probability` has one number per splat, how likely it belongs to the object; `affinities` one per edge.
 /// Splats in `frozen` are never selected, nor are those whose probability is not a number.
@@ -15,7 +15,6 @@ pub fn graph_cut(
     affinities: &[f32],
     probability: &[f32],
     frozen: Option<&[bool]>,
-    smoothness: f32,
 ) -> Vec<bool> {
     let n = graph.len();
     let capacity = |energy: f32| (energy * STEPS).clamp(0.0, 1e9) as u32;
@@ -32,7 +31,7 @@ pub fn graph_cut(
         for edge in graph.edges(i) {
             let j = graph.neighbour(edge);
             if j > i && !barred(j) {
-                let weight = capacity(smoothness * affinities[edge]);
+                let weight = capacity(affinities[edge]);
                 network.add_edge(i, j, weight, weight);
             }
         }

@@ -74,8 +74,8 @@ fn what_no_mask_decides_can_be_left_out() {
     world.ball(0, Vec3::new(0.0, 0.0, 2.0), Vec3::splat(0.4), 1200, [0.7, 0.4, 0.2], &mut dice);
     let views = [posed("front.jpg", Vec3::ZERO, Vec3::Z)];
     let share = |undecided| {
-        // What a photo sees less than a fifth of it does not decide.
-        let settings = SegmentSettings { undecided, seen: 0.2, ..SegmentSettings::default() };
+        // What a photo sees less than a fifth of it does not decide: .2^1.5 of a view.
+        let settings = SegmentSettings { undecided, least_evidence: 0.09, ..SegmentSettings::default() };
         let found = labels(&world, &views, &[Mask::full(160, 120)], None, settings).unwrap();
         world.share(0, &found)
     };
@@ -98,7 +98,6 @@ fn a_close_photo_outweighs_a_distant_one_by_its_light_and_not_by_views() {
         let settings = SegmentSettings {
             vote,
             undecided: Undecided::Out,
-            seen: 0.0,
             components: ComponentRule::All,
             ..SegmentSettings::default()
         };

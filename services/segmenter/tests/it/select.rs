@@ -346,7 +346,7 @@ fn a_small_visible_share_of_a_splat_decides_its_side_and_leaves_it_unknown() {
         let whole = unoccluded(&world.splats, &view.camera, &view.pose, &options());
         let projected = engine.project(&world.splats, &view.camera, &view.pose, &options()).unwrap();
         let ones = vec![1.0; upper.len()];
-        let of = |vote| coverage(&*projected, &whole, &upper, &ones, size, 0.0, vote).unwrap();
+        let of = |vote| coverage(&*projected, &whole, &upper, &ones, size, vote).unwrap();
         (of(Vote::View), of(Vote::Light))
     };
     let ((free, _), (occluded, light)) = (evidence(false), evidence(true));
