@@ -1,4 +1,7 @@
-"""The notebook, cell by cell, in an empty folder. It trains a scene, so it is no part of the other tests."""
+"""The notebook, cell by cell, in an empty folder, or in `SEGWILD_TEST_NOTEBOOK`, which may have its run already.
+
+Without that run it trains a scene, so it is no part of the other tests.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,8 @@ class NotebookTest(unittest.TestCase):
         os.environ["MPLBACKEND"] = "Agg"
         cells = [cell for cell in json.loads(NOTEBOOK.read_text())["cells"] if cell["cell_type"] == "code"]
         self.assertGreater(len(cells), 6)
-        before, folder = Path.cwd(), temporary_folder()
+        before = Path.cwd()
+        folder = Path(os.environ.get("SEGWILD_TEST_NOTEBOOK") or temporary_folder())
         names: dict[str, Any] = {}
         os.chdir(folder)
         try:

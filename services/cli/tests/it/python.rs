@@ -1,4 +1,5 @@
-//! The package for Python: its tests on a run of this program, and its notebook from photos to a labelled cloud.
+//! The package for Python: its tests on a run of this program, and its notebook from photos to a labelled cloud, which the
+//! tutorial's test runs.
 
 use crate::common::*;
 use std::path::{Path, PathBuf};
@@ -47,9 +48,9 @@ fn python_reads_from_a_run_what_the_program_and_other_readers_do() {
     passes(python, &["discover", "--start-directory", "tests", "--top-level-directory", "."]);
 }
 
-#[test]
-fn the_notebook_goes_from_photos_to_a_labelled_cloud() {
-    let test = "the_notebook_goes_from_photos_to_a_labelled_cloud";
-    let Some(python) = python(test, "numpy") else { return };
+/// Runs the notebook in a folder that has the run which the notebook trains: the program finds it done.
+pub fn notebook_passes(folder: &Path) {
+    let Some(mut python) = python("the notebook", "numpy") else { return };
+    python.env("SEGWILD_TEST_NOTEBOOK", folder);
     passes(python, &["tests.notebook"]);
 }

@@ -1,7 +1,8 @@
 //! `docs/tutorial.md`, followed literally: every shell block is run in order, in one empty folder, and the figures that the page
-//! prints are compared with those that the commands answer.
+//! prints are compared with those that the commands answer. Then the notebook, on the same run.
 
 use crate::common::folder;
+use crate::python::notebook_passes;
 use std::path::Path;
 use std::process::Command;
 
@@ -88,6 +89,12 @@ fn the_tutorial_works_when_it_is_followed_literally() {
     for file in ["pavilion.ply", "pavilion-dusk.ply", "scene.ply", "runs/tutorial/report.html"] {
         assert!(dir.path().join(file).is_file(), "{file}");
     }
+    // The notebook trains the same photos with the same settings: it takes over the run, and need not wait for another one.
+    let (run, notebook) = (dir.path().join("runs/tutorial"), dir.path().join("labelled-cloud"));
+    std::fs::remove_dir_all(run.join("selections")).expect("the tutorial's selections");
+    std::fs::create_dir(&notebook).expect("a folder");
+    std::fs::rename(run, notebook.join("run")).expect("the tutorial's run");
+    notebook_passes(dir.path());
 }
 
 #[test]
