@@ -53,6 +53,8 @@ pub use artifacts::cache::{CacheLine, cache_gc, cache_list, cache_verify};
 pub use artifacts::folder::{Loaded, RunFolder, TrainingSnapshot};
 pub use artifacts::intact::{DamagedFile, verify_selections};
 pub use artifacts::keys::Keys;
+pub use artifacts::prompts::{ObjectQuery, PhotoPrompts, Replay};
+pub use artifacts::selected::{Selected, SelectedError, Shortened};
 pub use code::{Code, providers_for};
 pub(crate) use engine::log_loss;
 pub use engine::{ChosenEngine, choose_engine};
@@ -62,14 +64,11 @@ pub use output::bake::{BakeRequest, Baked, ScenePart, bake};
 pub use output::camera_path::CameraPath;
 pub use output::evaluate::{HeldOut, HeldOutScore, Score, SelectionMaskScore, held_out_render, score};
 pub use output::light::{AppearanceRequest, BlendedAppearance, OWN};
-pub use output::objects::{
-    ExportedObjects, ListedObjects, ObjectList, SceneObject, export_objects, list_objects,
-};
+pub use output::objects::{ExportedObjects, ListedObjects, ObjectList, SceneObject};
 pub use output::render::{FRAMES_AROUND, Mode, RenderContent, RenderRequest, RenderedFile, UNSEEN, render};
 pub use output::report::write_report;
 pub use output::splat_files::{ConvertedFormat, ExportFormat, SplatTransform};
 pub use output::video::FRAMES_PER_SECOND;
-pub use session::prompts::{ObjectQuery, PhotoPrompts, Replay};
 
 pub use run::{
     ActorInboxes, ActorOutcome, ActorParts, ComputingActors, DiagramFormat, Extent, MemoryNeed, Need,
@@ -79,8 +78,8 @@ pub use run::{
 pub use segwild_segmenter::AnswerStep;
 pub use segwild_trainer::{AppearanceChoice, BudgetChoice, Preset};
 pub use session::{
-    Answer, PendingAnswer, SegmentOutcome, Selected, SelectedError, Session, SessionOptions, Shortened,
-    ShownParts, ShownScene, segment,
+    Answer, PendingAnswer, SegmentOutcome, Session, SessionOptions, ShownParts, ShownScene, export_objects,
+    list_objects, segment,
 };
 pub use settings::{EngineKind, RunBudget, RunSettings, Scoring, Settings, SettingsError, WhenLost, renamed};
 pub use transients::{TrainFit, TransientScore, TransientScores, score_transients};

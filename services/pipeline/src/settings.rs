@@ -7,7 +7,7 @@ use segwild_poses::PoseSettings;
 use segwild_scene::settings::{Field, Group, SettingError, Value};
 use segwild_scene::{Scene, SceneSettings, choice, settings};
 use segwild_segmenter::SegmentSettings;
-use segwild_trainer::{AppearanceModel, Preset, TrainSettings};
+use segwild_trainer::{AppearanceModel, Preset, Protocol, TrainSettings};
 use segwild_vision::VisionSettings;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
@@ -138,6 +138,19 @@ macro_rules! compose {
         pub struct Settings { $(#[allow(missing_docs)] pub $field: $group,)+ }
 
         impl Settings {
+    /// The protocol by which held-out photos are scored.
+    pub(crate) fn protocol(&self) -> Protocol {
+        match (self.run.scoring, self.train.appearance_model) {
+            (Scoring::Halves, _)
+            | (Scoring::Auto, AppearanceModel::Affine | AppearanceModel::Embed | AppearanceModel::Gsw) => {
+                Protocol::Halves
+            }
+            (Scoring::Plain, _) | (Scoring::Auto, AppearanceModel::None | AppearanceModel::Auto) => {
+                Protocol::Plain
+            }
+        }
+    }
+
             /// The tables in order: name, what it is about, its settings.
             pub fn catalogue() -> Vec<(&'static str, &'static str, &'static [Field])> {
                 vec![$((<$group>::TABLE, <$group>::DOC, <$group>::FIELDS)),+]

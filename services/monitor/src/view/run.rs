@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::Disk;
 use super::folder::{ViewError, name_of, open_run};
 use super::stage::{ActorView, StageView, WorkerView};
-use crate::why;
+use super::why;
 
 /// A sample older than this, in seconds, says that a run which should be watched is not.
 pub const STALE_S: f64 = 15.0;
@@ -290,7 +290,7 @@ fn stages(
 ) -> Vec<StageView> {
     // Most scenes come with poses and have no such stage.
     let poses = rows.iter().any(|row| row.name == Stage::Poses.name());
-    let listed = Stage::LISTED.into_iter().filter(|stage| poses || *stage != Stage::Poses);
+    let listed = Stage::all_listed().filter(|stage| poses || *stage != Stage::Poses);
     let mut names: Vec<&str> = listed.map(Stage::name).collect();
     names.extend(rows.iter().map(|r| r.name.as_str()).filter(|name| Stage::named(name).is_none()));
     let view = |name: &str| {

@@ -3,47 +3,28 @@
 //! Same key, same bytes. A key hashes everything that the artefact depends on, so that a changed setting recomputes
 //! exactly what depends on it.
 
-use super::lpips::LpipsFile;
+use super::digests::{Digests, PhotoRefusal};
 use super::scene_tree::tree_key;
-use crate::output::evaluate::protocol_of;
-use crate::run::memory::{self, TooLargePhoto};
-use crate::transients::{Corrections, UnusableCorrection};
-use crate::{RunError, Settings, Stage, Until};
-use rayon::prelude::*;
+use crate::Settings;
 use segwild_features::{Compression, FeatureSettings};
 use segwild_flow::Key;
 use segwild_masks::{MaskSettings, MaskSource};
 use segwild_scene::settings::Group;
-use segwild_scene::{ImportedSplats, PhotoStore, Scene, SceneError, View};
+use segwild_scene::{Scene, View};
 use segwild_trainer::{AppearanceModel, TrainSettings};
 use segwild_vision::Providers;
 use std::collections::BTreeSet;
-use std::sync::Arc;
 
 /// Raised when the bytes that a stage makes from the same input change.
 const FORMAT: u32 = 5;
 /// The same for the training, whose rules change most often: skies and embeddings, which cost most, stay.
 const TRAINING: u32 = 10;
 
-/// Why a photo takes no part in a run.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum PhotoRefusal {
-    /// Its file or one of its masks cannot be used.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// Decoding it takes more memory than there is.
-    #[error(transparent)]
-    TooLarge(#[from] TooLargePhoto),
-    /// The corrected mask of its transients cannot be used.
-    #[error(transparent)]
-    Correction(#[from] Arc<UnusableCorrection>),
-}
-
 /// The keys of one run.
 #[derive(Clone, Debug)]
 pub struct Keys {
     /// Per view, the hash of the photo's bytes; the reason where they cannot be read.
-    digests: Vec<Result<String, Arc<PhotoRefusal>>>,
+    digests: Vec<Result<String, PhotoRefusal>>,
     /// Per view, its sky.
     pub sky: Vec<Key>,
     /// Per view, its embedding.
@@ -75,9 +56,6 @@ pub struct Keys {
     /// Key of the provider whose boundaries the scene tree is grown from.
     segmenter: String,
 }
-
-/// Raised when the list of the same objects changes.
-const LIST_FORMAT: u32 = 1;
 
 /// Settings that a group's artefacts do not depend on. Some change only the speed or the memory; others have an effect
 /// only together with another setting.
@@ -123,14 +101,6 @@ pub enum End {
 }
 
 impl End {
-    /// The end of a run that is to stop at `until`.
-    pub fn of(until: Option<Until>) -> End {
-        match until {
-            Some(Until::Step(step)) => End::Step(step),
-            _ => End::Settings,
-        }
-    }
-
     /// The step to stop at, if one is given.
     pub fn step(&self) -> Option<u32> {
         match self {
@@ -141,87 +111,15 @@ impl End {
     }
 }
 
-/// The hash of each photo of a scene, or why the photo cannot be used.
-#[derive(Clone, Debug)]
-pub struct Digests {
-    photos: Vec<Result<String, Arc<PhotoRefusal>>>,
-    /// The hash of imported splats.
-    imported: Option<String>,
-    /// The weights of LPIPS, if there are any.
-    pub lpips: Option<LpipsFile>,
-    /// Warnings about photos that can be used.
-    pub odd: Vec<String>,
-}
-
-impl Digests {
-    /// Examines every photo of the store; `digest` is [`photo_digest`] of a view.
-    ///
-    /// # Errors
-    /// [`RunError::Interrupted`] when `stopping` returns true: many large photos take a while. When imported splats or the
-    /// weights of LPIPS cannot be read.
-    pub fn read(
-        photos: &PhotoStore,
-        digest: &(dyn Fn(usize) -> Result<String, SceneError> + Sync),
-        settings: &Settings,
-        stopping: &(dyn Fn() -> bool + Sync),
-    ) -> Result<Digests, RunError> {
-        let scene = photos.scene();
-        let lpips = LpipsFile::of(settings)?;
-        let limit = memory::decoding_limit(settings, scene);
-        let examine = |(i, view): (usize, &View)| -> Result<(String, Option<String>), PhotoRefusal> {
-            memory::fits_budget(settings, view, limit)?;
-            let digest = digest(i)?;
-            let odd = photos.examine(i)?;
-            Ok((digest, odd.map(|odd| format!("photo {}: {odd}", view.name))))
-        };
-        let (mut digests, mut odd) = (Vec::new(), Vec::new());
-        let examined = scene.views.par_iter().enumerate();
-        let until_stopped = examined.map(|view| (!stopping()).then(|| examine(view)));
-        let all: Option<Vec<_>> = until_stopped.collect();
-        let all = all.filter(|_| !stopping()).ok_or(RunError::Interrupted)?;
-        for examined in all {
-            match examined {
-                Ok((digest, words)) => {
-                    digests.push(Ok(digest));
-                    odd.extend(words);
-                }
-                Err(refusal) => digests.push(Err(Arc::new(refusal))),
-            }
-        }
-        let imported = scene.imported.as_ref().map(ImportedSplats::digest).transpose()?;
-        Ok(Digests { photos: digests, imported, lpips, odd })
-    }
-
-    /// Leaves out the photos whose corrected transient mask cannot be used.
-    #[must_use]
-    pub fn without(mut self, corrections: &Corrections) -> Digests {
-        for (view, unusable) in corrections.unusable() {
-            self.photos[*view] = Err(Arc::new(unusable.clone().into()));
-        }
-        self
-    }
-
-    /// The hashes by view; `None` where the photo cannot be read.
-    pub fn all(&self) -> Vec<Option<&str>> {
-        self.photos.iter().map(|d| d.as_deref().ok()).collect()
-    }
-
-    /// The reason of the first photo, if none of the photos to train on can be used.
-    pub(crate) fn nothing_left(&self, scene: &Scene) -> Option<&PhotoRefusal> {
-        let train = || scene.views.iter().zip(&self.photos).filter(|(view, _)| !view.test);
-        let first = train().find_map(|(_, photo)| photo.as_ref().err());
-        first.filter(|_| train().all(|(_, photo)| photo.is_err())).map(Arc::as_ref)
-    }
-}
-
 impl Keys {
-    /// The keys of everything that a run with these settings makes.
+    /// The keys of everything that a run with these settings makes. `corrected`: per view, the hash of the mask of its
+    /// transients that a person has corrected.
     pub fn of(
         scene: &Scene,
         Digests { photos: digests, imported, lpips, .. }: Digests,
         settings: &Settings,
         providers: &Providers,
-        corrections: &Corrections,
+        corrected: &[Option<&str>],
         engine: &str,
         end: &End,
     ) -> Keys {
@@ -270,7 +168,7 @@ impl Keys {
         }
         for (i, view) in scene.views.iter().enumerate() {
             // No part where nothing is known, so that keys of runs without corrections stay as they were.
-            match corrections.digest(i).filter(|_| !view.test) {
+            match corrected.get(i).copied().flatten().filter(|_| !view.test) {
                 Some(digest) => training = training.part(&format!("transients {i}"), digest),
                 None if network.is_some() => {
                     training = training.key(&format!("transients {i}"), &known_transients[i]);
@@ -355,7 +253,7 @@ impl Keys {
                 .fold(
                     Key::of("evaluate")
                         .key("geometry", &geometry)
-                        .part("protocol", format!("{:?}", protocol_of(settings))),
+                        .part("protocol", format!("{:?}", settings.protocol())),
                     |key, digest| key.part("lpips", digest),
                 )
                 .finish(),
@@ -423,26 +321,9 @@ impl Keys {
         all.into_iter().find_map(|keys| keys.iter().position(|k| k.to_string() == key))
     }
 
-    /// The key of a stage in the ledger.
-    pub fn stage(&self, stage: Stage) -> Key {
-        let all = |domain, keys: &[Key]| {
-            keys.iter().fold(Key::of(domain), |k, artefact| k.key(&artefact.hex(), artefact)).finish()
-        };
-        match stage {
-            // In the ledger the stage has the key of its photos, which is made before any other; these are what it gives.
-            Stage::Poses => self.training,
-            Stage::Sky => all("sky stage", &self.sky),
-            Stage::Embed => all("embed stage", &self.embedding),
-            Stage::Masks => all("masks stage", &self.masks),
-            Stage::Geometry => self.geometry,
-            Stage::Features | Stage::Visibility => self.features,
-            Stage::Evaluate => self.evaluation,
-            Stage::Objects => {
-                let tree = tree_key(&self.geometry.to_string(), &self.segmenter);
-                Key::of("objects stage").key("tree", &tree).value("format", LIST_FORMAT).finish()
-            }
-            Stage::Report => Key::of("report").key("features", &self.features).finish(),
-        }
+    /// The key of the tree of the trained scene.
+    pub(crate) fn scene_tree(&self) -> Key {
+        tree_key(&self.geometry.to_string(), &self.segmenter)
     }
 
     /// By view, the reason why its photo cannot be used; `None` where it can.
@@ -452,7 +333,7 @@ impl Keys {
 
     /// The reason why a view's photo cannot be used; `None` where it can.
     pub(crate) fn unreadable(&self, view: usize) -> Option<&PhotoRefusal> {
-        self.digests[view].as_ref().err().map(Arc::as_ref)
+        self.digests[view].as_ref().err()
     }
 }
 
@@ -492,24 +373,6 @@ pub(crate) fn photo_key(domain: &'static str, digest: &str, view: &View, size: u
     }
 }
 
-/// The photo's bytes and those of its masks. A mask of what to keep is marked as one: with the same file as the mask of what to
-/// ignore, something else is made. So is a photo that is turned where its size does not ask for it.
-pub(crate) fn photo_digest(view: &View) -> Result<String, SceneError> {
-    let mut digest = view.digest()?;
-    for (label, mask) in [("", &view.photo.ignore), ("keep", &view.photo.usable)] {
-        let Some(mask) = mask else { continue };
-        let mut hasher = blake3::Hasher::new();
-        let hashed = segwild_scene::open_file(mask).and_then(|file| hasher.update_reader(file).map(drop));
-        hashed.map_err(SceneError::io(mask))?;
-        digest.push_str(label);
-        digest.push_str(hasher.finalize().to_hex().as_str());
-    }
-    if view.photo.reading.turned {
-        digest.push_str("turned");
-    }
-    Ok(digest)
-}
-
 /// Hash of the points that training starts from.
 fn points_digest(scene: &Scene) -> String {
     let mut hasher = blake3::Hasher::new();
@@ -535,54 +398,4 @@ fn text<G: Group>(settings: &Settings) -> String {
         .filter(|f| !idle.contains(&f.name))
         .map(|f| format!("{}={}\n", f.name, settings.get(f.name).unwrap_or_default()))
         .collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use segwild_scene::{Camera, Photo, Pose, Seal};
-    use std::path::Path;
-
-    fn view(photo: &Path, ignore: Option<&Path>, usable: Option<&Path>) -> View {
-        let photo = Photo {
-            path: photo.to_owned(),
-            ignore: ignore.map(Path::to_owned),
-            usable: usable.map(Path::to_owned),
-            lens: None,
-            seal: Seal::default(),
-            reading: Default::default(),
-        };
-        let camera = Camera { width: 4, height: 3, fx: 4.0, fy: 4.0, cx: 2.0, cy: 1.5 };
-        let pose = Pose::look_at(glam::Vec3::NEG_Z, glam::Vec3::ZERO, glam::Vec3::NEG_Y);
-        View { name: "0.png".into(), camera, pose, photo, test: false }
-    }
-
-    #[test]
-    fn what_was_made_with_the_masks_to_keep_is_not_taken_for_that_with_the_same_masks_ignored() {
-        let dir = tempfile::tempdir().unwrap();
-        let (photo, mask, other) =
-            (dir.path().join("0.png"), dir.path().join("m.png"), dir.path().join("n.png"));
-        std::fs::write(&photo, b"photo").unwrap();
-        std::fs::write(&mask, b"mask").unwrap();
-        std::fs::write(&other, b"another mask").unwrap();
-        let digest = |ignore, usable| photo_digest(&view(&photo, ignore, usable)).unwrap();
-        let (ignored, kept) = (digest(Some(&*mask), None), digest(None, Some(&*mask)));
-        assert_ne!(ignored, kept);
-        assert_ne!(digest(Some(&*mask), Some(&*other)), digest(Some(&*other), Some(&*mask)));
-        // The hashes of photos without masks to keep stay as they were.
-        let hash = |bytes: &[u8]| blake3::hash(bytes).to_hex().to_string();
-        assert_eq!(digest(None, None), hash(b"photo"));
-        assert_eq!(ignored, hash(b"photo") + &hash(b"mask"));
-    }
-
-    #[test]
-    fn what_was_made_of_a_photo_as_stored_is_not_taken_for_that_of_the_turned_one() {
-        let dir = tempfile::tempdir().unwrap();
-        let photo = dir.path().join("0.png");
-        std::fs::write(&photo, b"photo").unwrap();
-        let mut view = view(&photo, None, None);
-        let stored = photo_digest(&view).unwrap();
-        view.photo.reading.turned = true;
-        assert_ne!(photo_digest(&view).unwrap(), stored);
-    }
 }

@@ -1,8 +1,10 @@
 //! What a run keeps on disk: its folder, the content cache and its keys, checkpoints, timelines.
 
+pub(crate) mod auto_choice;
 pub(crate) mod cache;
 pub(crate) mod cameras;
 pub(crate) mod checkpoints;
+pub(crate) mod digests;
 pub(crate) mod folder;
 pub(crate) mod history;
 pub(crate) mod images;
@@ -10,7 +12,9 @@ pub(crate) mod intact;
 pub(crate) mod keys;
 pub(crate) mod lpips;
 pub(crate) mod photo_cache;
+pub(crate) mod prompts;
 pub(crate) mod recompute;
 pub(crate) mod region_cache;
 pub(crate) mod scene_tree;
+pub(crate) mod selected;
 pub(crate) mod traces;

@@ -1,6 +1,7 @@
 //! Keeps the photos of a scene in a run's cache, at the size that the run uses.
 
-use super::keys::{photo_digest, photo_key};
+use super::digests::photo_digest;
+use super::keys::photo_key;
 use segwild_flow::{Cache, Events, Key};
 use segwild_scene::{PackedPhoto, PhotoCache, PhotoStore, Scene, SceneError};
 use std::sync::{Arc, OnceLock};

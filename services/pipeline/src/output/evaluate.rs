@@ -3,14 +3,14 @@
 use crate::artifacts::folder::Loaded;
 use crate::artifacts::images::{ImageFiles, check_shape};
 use crate::artifacts::intact::Intact;
+use crate::artifacts::prompts::Replay;
 use crate::output::object_masks::ObjectMasks;
-use crate::session::prompts::Replay;
-use crate::{RunError, RunFolder, Scoring, Selected, Settings, choose_engine, log_loss};
+use crate::{RunError, RunFolder, Selected, Settings, choose_engine, log_loss};
 use segwild_flow::{ActorFailure, fault};
 use segwild_raster::Rasterizer;
 use segwild_scene::{Image, Mask, MaskFiles, PhotoStore, ReaderError};
 use segwild_segmenter::MaskMode;
-use segwild_trainer::{AppearanceModel, Lpips, Model, Photos, Protocol, TrainPhoto, ViewScore, evaluate};
+use segwild_trainer::{Lpips, Model, Photos, Protocol, TrainPhoto, ViewScore, evaluate};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -177,7 +177,7 @@ pub(crate) fn held_out(
     if views.is_empty() {
         return Ok(None);
     }
-    let protocol = protocol_of(settings);
+    let protocol = settings.protocol();
     let words = match protocol {
         Protocol::Plain => "whole photo, no appearance fitted",
         Protocol::Halves => "appearance fitted on the left half, right half scored",
@@ -239,19 +239,6 @@ pub(crate) fn held_out(
     };
     folder.write_json("evaluation.json", &held)?;
     Ok(Some(held))
-}
-
-/// The protocol by which held-out photos are scored under these settings.
-pub(crate) fn protocol_of(settings: &Settings) -> Protocol {
-    match (settings.run.scoring, settings.train.appearance_model) {
-        (Scoring::Halves, _)
-        | (Scoring::Auto, AppearanceModel::Affine | AppearanceModel::Embed | AppearanceModel::Gsw) => {
-            Protocol::Halves
-        }
-        (Scoring::Plain, _) | (Scoring::Auto, AppearanceModel::None | AppearanceModel::Auto) => {
-            Protocol::Plain
-        }
-    }
 }
 
 /// Scores a selection's masks against the true masks in `truth`: one image per photo, named as the photo

@@ -1,73 +1,19 @@
 //! `--appearance-model auto` and `--budget auto`: each choice is made once, kept in the cache under a key of all that
 //! it depends on, and reported.
 
+use crate::artifacts::auto_choice::AutoChoice;
 use crate::artifacts::keys::Keys;
-use crate::{RunBudget, RunError, RunFolder, Settings};
+use crate::{RunError, RunFolder, Settings};
 use segwild_flow::{Cache, CacheError, Key};
 use segwild_objective::Engine;
 use segwild_scene::{Mask, PhotoStore, Scene, SceneError};
 use segwild_trainer::{
-    AppearanceChoice, AppearanceModel, BudgetChoice, CHOICE_SIZE, Photos, Sifted, TrainError, TrainPhoto,
+    AppearanceChoice, BudgetChoice, CHOICE_SIZE, Photos, Sifted, TrainError, TrainPhoto,
     choose_appearance, choose_budget, trial_size,
 };
 use segwild_vision::SkyDetector;
-use serde::Serialize;
-use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
-
-/// Something that is chosen before the training.
-pub(crate) trait AutoChoice: Serialize + DeserializeOwned {
-    /// Kind of the cache's record.
-    const KIND: &'static str;
-    /// Raised when the same inputs may lead to another choice.
-    const RULE: u32;
-    /// The file in the run folder that records the choice.
-    const FILE: &'static str;
-    /// Whether the settings leave it open.
-    fn is_open(settings: &Settings) -> bool;
-    /// The settings with the choice made; `steps_open` as for [`decided_before`].
-    fn decided(&self, settings: &Settings, steps_open: bool) -> Settings;
-    /// Why, in a sentence.
-    fn why(&self) -> &str;
-}
-
-impl AutoChoice for AppearanceChoice {
-    const KIND: &'static str = "appearance";
-    const RULE: u32 = 3;
-    const FILE: &'static str = "appearance_choice.json";
-    fn is_open(settings: &Settings) -> bool {
-        settings.train.appearance_model == AppearanceModel::Auto
-    }
-    fn decided(&self, settings: &Settings, steps_open: bool) -> Settings {
-        let mut settings = settings.clone();
-        settings.train.appearance_model = self.appearance;
-        if steps_open {
-            settings.train.steps = self.steps(settings.train.steps);
-        }
-        settings
-    }
-    fn why(&self) -> &str {
-        &self.why
-    }
-}
-
-impl AutoChoice for BudgetChoice {
-    const KIND: &'static str = "budget";
-    const RULE: u32 = 1;
-    const FILE: &'static str = "budget.json";
-    fn is_open(settings: &Settings) -> bool {
-        settings.run.budget == RunBudget::Auto
-    }
-    fn decided(&self, settings: &Settings, _: bool) -> Settings {
-        let mut settings = settings.clone();
-        settings.train.steps = self.steps;
-        settings
-    }
-    fn why(&self) -> &str {
-        &self.why
-    }
-}
 
 /// Whether a budget may exceed the steps of the settings: the steps were left to the scene, and its photos agree.
 fn beyond(steps_open: bool, appearance: Option<&AppearanceChoice>) -> bool {

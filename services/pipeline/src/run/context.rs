@@ -160,19 +160,19 @@ impl RunContext<'_> {
         self.views(false).into_iter().all(|view| self.masks_known.get(view).is_some())
     }
 
-    /// Starts a stage in the ledger, with a progress bar over `total` photos or steps.
-    pub fn open(&mut self, stage: Stage, total: usize) -> Result<(), RunError> {
+    /// Starts a stage in the ledger under its key, with a progress bar over `total` photos or steps.
+    pub fn open(&mut self, stage: Stage, key: &Key, total: usize) -> Result<(), RunError> {
         let bar = self.options.events.stage(stage.name(), Some(total as u64));
         self.bars.insert(stage, bar);
-        Ok(self.ledger.start_stage(stage.name(), &self.keys.stage(stage))?)
+        Ok(self.ledger.start_stage(stage.name(), key)?)
     }
 
     /// Ends a stage that goes photo by photo, after its last one.
-    pub fn close(&mut self, stage: Stage) -> Result<(), RunError> {
+    pub fn close(&mut self, stage: Stage, key: &Key) -> Result<(), RunError> {
         let Some(bar) = self.bars.remove(&stage) else { return Ok(()) };
         bar.finish();
         self.weigh_failures(stage, self.views(stage == Stage::Sky).len());
-        Ok(self.ledger.finish_stage(stage.name(), &self.keys.stage(stage), None)?)
+        Ok(self.ledger.finish_stage(stage.name(), key, None)?)
     }
 
     /// Fails a stage that failed on all of its photos, and warns when it failed on more than half of them.

@@ -44,7 +44,7 @@ fn id(name: &str) -> String {
 
 fn boxes() -> (Vec<ActorBox>, Vec<SourceBox>) {
     let (mut actors, mut sources): (Vec<ActorBox>, Vec<SourceBox>) = (Vec::new(), Vec::new());
-    for node in &NODES {
+    for node in NODES {
         let name = node.stage.name();
         sources.extend(node.feed.map(|feed| SourceBox { id: id(feed.source), title: feed.source }));
         let title = match node.by {
@@ -169,7 +169,7 @@ mod tests {
     fn both_formats_have_every_stage_and_every_need() {
         for (format, arrow) in [(DiagramFormat::Mermaid, "-"), (DiagramFormat::Dot, "->")] {
             let text = diagram(format);
-            for node in &NODES {
+            for node in NODES {
                 assert!(text.contains(node.stage.name()), "{}", node.stage);
                 for need in node.needs {
                     let from = format!("  {} {arrow}", need.stage);

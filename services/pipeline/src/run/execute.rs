@@ -4,7 +4,7 @@ use super::after::AfterActors;
 use super::context::RunContext;
 use super::coordinator::Coordinator;
 use super::diagnostics;
-use super::graph::stage_of_failure;
+use super::graph::{node_of, stage_of_failure};
 use super::node::StageWork;
 use super::options::RunOptions;
 use super::plan::RunPlan;
@@ -78,7 +78,7 @@ pub fn execute<'a>(
 
     let holds_out = !intake.held_out.is_empty();
     let mut after = AfterActors { run, report, traces, holds_out, scores: None };
-    for node in &NODES {
+    for node in NODES {
         if let StageWork::Run(compute) = node.work
             && after.run.wants(node.stage)
         {
@@ -102,7 +102,7 @@ pub fn execute<'a>(
         splats: model.map(|model| model.splats.len()),
         paused: run.made.paused,
         counts: [run.tally.made, run.tally.cached],
-        report_key: run.keys.stage(Stage::Report),
+        report_key: node_of(Stage::Report).key(&run.keys),
     })
 }
 

@@ -3,130 +3,33 @@
 //! Every stage has a key that hashes all it depends on ([`Keys`]). A changed setting is a cause if it alone changes the
 //! stage's key; there is no table of dependencies.
 
+use super::graph::node_of;
 use super::poses::scene_or_photos;
 use super::prepare::UNTIL_STEP;
+use super::results::{StageResults, StageVerdict};
+use super::situation::{KeptResults, Situation};
 use super::stage::Stage;
-use crate::artifacts::keys::{Digests, End, Keys, TrainingOrigin, photo_digest};
+use super::stages::NODES;
+use crate::artifacts::keys::{End, Keys};
 use crate::code;
-use crate::run::choice;
-use crate::run::continued::ContinuedTraining;
-use crate::transients::Corrections;
-use crate::{RunError, RunFolder, Settings, Until, choose_engine};
+use crate::{RunError, RunFolder, Settings, Until};
 use segwild_flow::ledger::{StageRow, State};
-use segwild_flow::{Cache, Ledger, files};
-use segwild_scene::{PhotoStore, Scene};
-use segwild_vision::{NetworkFile, Providers, VisionSettings};
+use segwild_flow::{Cache, Key, Ledger};
+use segwild_vision::VisionSettings;
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::Path;
-use std::sync::Arc;
-
-/// What a run would do with a stage.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case", tag = "verdict")]
-pub enum StageVerdict {
-    /// The whole result is in the cache.
-    Reused,
-    /// The results of some photos are in the cache.
-    Partly {
-        /// Photos whose results would be made.
-        made: usize,
-        /// Photos in all.
-        of: usize,
-    },
-    /// An interrupted training continues.
-    GoesOn {
-        /// From this step.
-        step: u32,
-    },
-    /// The training has reached the requested step, and is not over.
-    Stands {
-        /// At this step.
-        step: u32,
-    },
-    /// The trained scene is there, and its snapshot is not. Masks are proposed from the snapshot, so that the training
-    /// is repeated up to it.
-    SnapshotAgain {
-        /// From the checkpoint at this step; 0 without one.
-        from: u32,
-        /// To this step.
-        to: u32,
-    },
-    /// The training stops before the snapshot that the stage needs.
-    NotReached,
-    /// The stage would be computed from the start.
-    Made,
-}
 
 /// One stage of the plan.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct StagePlan {
-    /// The stage, one of [`Stage::LISTED`].
+    /// The stage, one of [`Stage::all_listed`].
     pub stage: Stage,
     /// What the run would do with it.
     #[serde(flatten)]
     pub verdict: StageVerdict,
     /// Why, a phrase each; empty when it is reused.
     pub why: Vec<String>,
-}
-
-/// A run's scene and the keys that follow from its settings.
-struct Situation {
-    scene: Arc<Scene>,
-    keys: Keys,
-    networks: Vec<NetworkFile>,
-    /// The photos whose transients were corrected by hand, in words.
-    corrected: Option<String>,
-    /// Where the training starts, if not at step 0.
-    origin: Option<TrainingOrigin>,
-    /// The step that the training ends at, or is to stop at.
-    goal: u32,
-    /// The step that the training ends at by its settings.
-    end: u32,
-    snapshot_step: u32,
-}
-
-fn situation(
-    path: &Path,
-    folder: &RunFolder,
-    ledger: Option<&Ledger>,
-    settings: &Settings,
-    end: &End,
-) -> Result<Situation, RunError> {
-    let scene = match scene_or_photos(path, &settings.scene)? {
-        Ok(scene) => scene,
-        Err(_) => folder.open_posed(path, &settings.scene)?,
-    };
-    let providers = Providers::from_settings(&settings.vision)?;
-    let steps_open = settings.steps_open(&scene);
-    let settings = &settings.decided(&scene);
-    let engine = choose_engine(&settings.run, drop)?.engine;
-    let corrections = Corrections::find(&scene, folder, &settings.scene.transient_masks)?;
-    let corrected = corrections.in_words(&scene);
-    let scene = Arc::new(scene);
-    // Without a cache: to explain a run changes nothing.
-    let photos = PhotoStore::new(scene.clone(), settings.scene.size, 0);
-    let digest = |view: usize| photo_digest(&scene.views[view]);
-    let digests = Digests::read(&photos, &digest, settings, &|| false)?.without(&corrections);
-    let named = |settings: &Settings, corrections: &Corrections, end: &End| {
-        Keys::of(&scene, digests.clone(), settings, &providers, corrections, engine.name(), end)
-    };
-    let name = |settings: &Settings| named(settings, &corrections, end);
-    // A choice that is still open leaves its `auto` in the key: all that depends on it is then to be made.
-    let cache = Cache::at(folder.path().join("cache"));
-    let settings = choice::decided_before(&cache, settings, steps_open, &name)?;
-    let (mut keys, mut goal, mut origin) = (name(&settings), end.step(), None);
-    if let (End::Settings, Some(ledger)) = (end, ledger) {
-        let named = |corrections: &Corrections, end: &End| named(&settings, corrections, end);
-        if let Some(continued) =
-            ContinuedTraining::find(folder, ledger, &cache, &settings, &corrections, &named)?
-        {
-            (keys, goal, origin) = (continued.keys, Some(continued.origin.end), Some(continued.origin));
-        }
-    }
-    let (end, snapshot_step) = (settings.train.steps, settings.train.snapshot_step());
-    let networks = providers.networks;
-    Ok(Situation { scene, keys, networks, corrected, origin, goal: goal.unwrap_or(end), end, snapshot_step })
 }
 
 /// Returns what [`crate::run()`] would do with these settings, without doing it. Works while another process runs.
@@ -157,18 +60,22 @@ pub fn explain(
             return Ok(plans);
         }
     }
-    let now = situation(&path, folder, ledger.as_ref(), &settings, &End::of(until))?;
+    let now = Situation::of(&path, folder, ledger.as_ref(), &settings, &Until::end(until))?;
     let before = match &ledger {
         Some(ledger) => Some(Before::read(ledger, &path, folder, &settings)?),
         None => None,
     };
     let cache = Cache::at(folder.path().join("cache"));
-    for stage in Stage::LISTED.into_iter().filter(|stage| *stage != Stage::Poses) {
-        let verdict = verdict(stage, &now, &cache, folder, ledger.as_ref())?;
+    let kept = KeptResults { cache: &cache, folder, ledger: ledger.as_ref() };
+    for stage in Stage::all_listed().filter(|stage| *stage != Stage::Poses) {
+        let results = node_of(stage).results;
+        let verdict = results.verdict(stage.name(), &now, &kept)?;
         let why = match (&verdict, &before) {
             (StageVerdict::Reused | StageVerdict::Stands { .. } | StageVerdict::NotReached, _) => Vec::new(),
             (_, None) => vec!["the run is new".into()],
-            _ if stage == Stage::Report => vec!["it is written at the end of every run".into()],
+            _ if matches!(results, StageResults::Rewritten(_)) => {
+                vec!["it is written at the end of every run".into()]
+            }
             (_, Some(before)) => before.why(stage, &now, &verdict, ledger.as_ref())?,
         };
         plans.push(StagePlan { stage, verdict, why });
@@ -191,84 +98,7 @@ fn without_poses(why: Vec<String>, until: Option<Until>) -> Vec<StagePlan> {
         let why = if stage == Stage::Poses { why.clone() } else { vec!["it waits for the poses".into()] };
         StagePlan { stage, verdict: StageVerdict::Made, why }
     };
-    Stage::LISTED.into_iter().filter(|stage| *stage <= last).map(plan).collect()
-}
-
-fn verdict(
-    stage: Stage,
-    now: &Situation,
-    cache: &Cache,
-    folder: &RunFolder,
-    ledger: Option<&Ledger>,
-) -> Result<StageVerdict, RunError> {
-    let keys = &now.keys;
-    if stage == Stage::Geometry {
-        return geometry(now, cache, folder, ledger);
-    }
-    if stage == Stage::Masks && now.goal < now.snapshot_step && !cache.contains(&keys.snapshot) {
-        return Ok(StageVerdict::NotReached);
-    }
-    let per_view = match stage {
-        Stage::Sky => Some((&keys.sky, true)),
-        Stage::Embed => Some((&keys.embedding, false)),
-        Stage::Masks => Some((&keys.masks, false)),
-        _ => None,
-    };
-    if let Some((keys_of_stage, with_test)) = per_view {
-        let views: Vec<usize> = (0..now.scene.views.len())
-            .filter(|&i| (with_test || !now.scene.views[i].test) && keys.unreadable(i).is_none())
-            .collect();
-        let made = views.iter().filter(|&&i| !cache.contains(&keys_of_stage[i])).count();
-        return Ok(match made {
-            0 => StageVerdict::Reused,
-            _ if made == views.len() => StageVerdict::Made,
-            _ => StageVerdict::Partly { made, of: views.len() },
-        });
-    }
-    let there = match stage {
-        Stage::Features => cache.contains(&keys.features),
-        Stage::Evaluate | Stage::Objects => match ledger {
-            Some(ledger) => ledger.stage_is_done(stage.name(), &keys.stage(stage))?,
-            None => false,
-        },
-        _ => false,
-    };
-    Ok(if there { StageVerdict::Reused } else { StageVerdict::Made })
-}
-
-/// What a run would do with the training: the same decision as in the start of the stage `geometry`.
-fn geometry(
-    now: &Situation,
-    cache: &Cache,
-    folder: &RunFolder,
-    ledger: Option<&Ledger>,
-) -> Result<StageVerdict, RunError> {
-    let (trained, snapshot) = (cache.contains(&now.keys.geometry), cache.contains(&now.keys.snapshot));
-    if trained && snapshot {
-        return Ok(StageVerdict::Reused);
-    }
-    let mut steps: Vec<u32> = Vec::new();
-    if let Some(ledger) = ledger {
-        let rows = ledger.checkpoints(Stage::Geometry.name(), &now.keys.training)?;
-        // A run passes over checkpoints that are gone or whose content has changed.
-        let whole = rows.iter().filter(|row| {
-            let bytes = folder.checkpoint(row).and_then(|path| files::read_plain(&path).ok());
-            bytes.is_some_and(|bytes| blake3::hash(&bytes).to_hex().as_str() == row.digest)
-        });
-        // Without the snapshot, the training has to pass the snapshot step again.
-        steps.extend(whole.map(|row| row.step as u32).filter(|&step| snapshot || step < now.snapshot_step));
-    }
-    // A continued training starts from the last step of another, until it has a checkpoint of its own.
-    steps.extend(now.origin.as_ref().filter(|_| snapshot).map(|origin| origin.step));
-    let last_before = |end: u32| steps.iter().copied().filter(|&step| step <= end).max();
-    if trained {
-        let from = last_before(now.snapshot_step).unwrap_or(0);
-        return Ok(StageVerdict::SnapshotAgain { from, to: now.snapshot_step });
-    }
-    if let Some(step) = last_before(u32::MAX).filter(|&step| now.goal < now.end && step >= now.goal) {
-        return Ok(StageVerdict::Stands { step });
-    }
-    Ok(last_before(now.goal).map_or(StageVerdict::Made, |step| StageVerdict::GoesOn { step }))
+    Stage::all_listed().filter(|stage| *stage <= last).map(plan).collect()
 }
 
 /// The inputs of the run when it was last started.
@@ -312,22 +142,20 @@ impl Before {
                 changed.push((name, value, new));
             }
         }
-        let then = situation(path, folder, Some(ledger), &old, &end)?;
+        let then = Situation::of(path, folder, Some(ledger), &old, &end)?;
         let mut alone = Vec::new();
         for (name, _, value) in &changed {
             let mut one = old.clone();
             one.set(name, value).map_err(crate::SettingsError::from)?;
-            alone.push(situation(path, folder, Some(ledger), &one, &end)?.keys);
+            alone.push(Situation::of(path, folder, Some(ledger), &one, &end)?.keys);
         }
         let mut given_up = Vec::new();
-        for (stage, keys) in [
-            (Stage::Sky, &then.keys.sky),
-            (Stage::Embed, &then.keys.embedding),
-            (Stage::Masks, &then.keys.masks),
-            (Stage::Visibility, &then.keys.visibility),
-            // The scores have one key for all photos, so that the skies' keys, one per view, stand in.
-            (Stage::Evaluate, &then.keys.sky),
-        ] {
+        let per_photo = NODES.iter().filter_map(|node| match node.results {
+            StageResults::PerPhoto { keys, .. } => Some((node.stage, keys(&then.keys))),
+            _ => None,
+        });
+        // The scores have one key for all photos, so that the skies' keys, one per view, stand in.
+        for (stage, keys) in per_photo.chain([(Stage::Evaluate, then.keys.sky.as_slice())]) {
             for row in ledger.views(stage.name())?.iter().filter(|row| row.outcome.state == State::Failed) {
                 // A result without another photo's sky has another key; the photo counts all the same.
                 let of_then = |i: &usize| {
@@ -374,19 +202,20 @@ impl Before {
             return Ok(vec!["it was not done before".into()]);
         };
         let mut why = Vec::new();
-        let then = self.then.keys.stage(stage);
+        let key = |keys: &Keys| -> Key { node_of(stage).results.key(keys) };
+        let then = key(&self.then.keys);
         for ((name, old, new), keys) in self.changed.iter().zip(&self.alone) {
             let snapshot = stage == Stage::Geometry && keys.snapshot != self.then.keys.snapshot;
-            if keys.stage(stage) != then || snapshot {
+            if key(keys) != then || snapshot {
                 why.push(format!("{name}: {} -> {}", shown(old), shown(new)));
             }
         }
         if row.key != then.to_string() {
-            let lacked = row.key == self.without_given_up.stage(stage).to_string();
+            let lacked = row.key == key(&self.without_given_up).to_string();
             why.push(if lacked { self.tried_again() } else { self.inputs(ledger)? });
         }
         let (was, goal) = (self.then.goal, now.goal);
-        if was != goal && (why.is_empty() && now.keys.stage(stage).to_string() != row.key) {
+        if was != goal && (why.is_empty() && key(&now.keys).to_string() != row.key) {
             why.push(format!("the training is to end at step {goal}, and was to end at step {was}"));
             if stage == Stage::Geometry && *verdict == StageVerdict::Made {
                 why.push(format!("there is no checkpoint of it at or before step {goal}"));

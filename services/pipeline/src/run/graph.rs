@@ -2,6 +2,7 @@
 //! `segwild run --explain --graph` prints it.
 
 use super::need::{Extent, Need};
+use super::node::StageNode;
 use super::stage::Stage;
 use super::stages::NODES;
 use std::collections::{BTreeMap, BTreeSet};
@@ -43,6 +44,11 @@ impl StageGraph {
         }
         wanted
     }
+}
+
+/// The node of a stage.
+pub fn node_of(stage: Stage) -> &'static StageNode {
+    NODES.iter().find(|node| node.stage == stage).expect("a test asks that every stage has a node")
 }
 
 /// What a stage needs, as far as it is listed: what [`Stage::Visibility`] needs counts for the stages that need it. A
@@ -106,7 +112,7 @@ mod tests {
     fn every_stage_has_a_node_and_needs_nothing_of_itself() {
         let graph = StageGraph::of_a_run();
         assert_eq!(graph.needs.len(), NODES.len());
-        for stage in Stage::LISTED {
+        for stage in Stage::all_listed() {
             assert!(graph.needs.contains_key(&stage), "{stage}");
         }
         // From the stages that need nothing, every stage is reached in turn: there is no circle.

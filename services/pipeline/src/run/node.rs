@@ -2,9 +2,12 @@
 
 use super::after::{AfterActors, EndOfRun};
 use super::need::Need;
+use super::results::StageResults;
 use super::stage::Stage;
 use super::work::ActorStage;
 use crate::RunError;
+use crate::artifacts::keys::Keys;
+use segwild_flow::Key;
 
 /// Who computes a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,11 +55,18 @@ pub struct StageNode {
     pub feed: Option<Feed>,
     /// What it needs before it may start.
     pub needs: &'static [Need],
+    /// Where its results are kept.
+    pub results: StageResults,
     /// How it is done.
     pub work: StageWork,
 }
 
 impl StageNode {
+    /// The key of the stage in the ledger.
+    pub fn key(&self, keys: &Keys) -> Key {
+        self.results.key(keys)
+    }
+
     /// Whether the actor or source of this name works on it.
     pub fn is_work_of(&self, name: &str) -> bool {
         match self.by {

@@ -41,7 +41,7 @@ pub struct RunPlan {
 pub fn plan(prepared: &PreparedRun, folder: &RunFolder, options: &RunOptions) -> Result<RunPlan, RunError> {
     let PreparedRun { scene, settings, providers, engine, end, corrections, digests, ledger, .. } = prepared;
     let named = |settings: &Settings, corrections: &Corrections, engine: &str, end: &End| {
-        Keys::of(scene, digests.clone(), settings, providers, corrections, engine, end)
+        Keys::of(scene, digests.clone(), settings, providers, &corrections.digests(), engine, end)
     };
     let name = |settings: &Settings| named(settings, corrections, engine.name(), end);
     let keys = name(settings);

@@ -9,7 +9,8 @@ use crate::accelerator::leased;
 use crate::artifacts::cameras;
 use crate::artifacts::folder::Intake;
 use crate::artifacts::images::ImageFiles;
-use crate::artifacts::keys::{Digests, End};
+use crate::artifacts::digests::Digests;
+use crate::artifacts::keys::End;
 use crate::artifacts::lpips::LpipsFile;
 use crate::artifacts::photo_cache::RunPhotoCache;
 use crate::artifacts::region_cache::InCache;
@@ -129,7 +130,7 @@ pub fn prepare(
     let photos = Arc::new(RunPhotoCache::new(folder.cache()?, &scene, settings.scene.size));
     photos.warn_of_damage(events);
     let digests = examine(&path, &scene, &photos, &settings, &corrections, options)?;
-    let end = End::of(options.until);
+    let end = Until::end(options.until);
     Ok(PreparedRun {
         began,
         pose_spans: spans,
@@ -236,8 +237,13 @@ fn examine(
     options: &RunOptions,
 ) -> Result<Digests, RunError> {
     let stopping = || options.stopper.phase() != Phase::Running;
-    let digest = |view: usize| photos.digest(view);
-    let digests = Digests::read(&photos.store(0), &digest, settings, &stopping)?.without(corrections);
+    let limit = memory::decoding_limit(settings, scene);
+    let digest = |view: usize| {
+        memory::fits_budget(settings, &scene.views[view], limit)?;
+        Ok(photos.digest(view)?)
+    };
+    let read = Digests::read(&photos.store(0), &digest, settings, &stopping)?;
+    let digests = read.without(corrections.unusable());
     if let Some(first) = digests.nothing_left(scene) {
         let reason = format!("no photo can be trained on; of the first: {first}");
         return Err(SceneError::NothingUsable { path: path.to_owned(), reason }.into());

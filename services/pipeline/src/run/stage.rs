@@ -3,61 +3,57 @@
 use serde::Serialize;
 use std::fmt;
 
-/// A stage of a run. Stages are ordered as they end.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Stage {
+/// Defines the stages, each with its name in the ledger, in events, metrics and cache keys.
+macro_rules! stages {
+    ($($(#[$doc:meta])* $stage:ident = $name:literal,)*) => {
+        /// A stage of a run. Stages are ordered as they end.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+        #[serde(rename_all = "lowercase")]
+        pub enum Stage {
+            $($(#[$doc])* $stage,)*
+        }
+
+        impl Stage {
+            const ALL: &[Stage] = &[$(Stage::$stage,)*];
+
+            /// Its name in the ledger, in events, metrics and cache keys.
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Stage::$stage => $name,)*
+                }
+            }
+        }
+    };
+}
+
+stages! {
     /// The camera poses of photos that come without, or of a video's frames. A scene with poses has no row of it.
-    Poses,
+    Poses = "poses",
     /// The sky of each photo.
-    Sky,
+    Sky = "sky",
     /// The embedding of each photo.
-    Embed,
+    Embed = "embed",
     /// The masks of each photo, proposed from the snapshot of the training.
-    Masks,
+    Masks = "masks",
     /// The training.
-    Geometry,
+    Geometry = "geometry",
     /// The visibility of each photo, by comparison with the trained scene; then the scene tree. It has no row in the
     /// ledger's list of stages: there it counts as the start of [`Stage::Features`].
-    Visibility,
+    Visibility = "visibility",
     /// The feature field.
-    Features,
+    Features = "features",
     /// The scores of the held-out photos.
-    Evaluate,
+    Evaluate = "evaluate",
     /// The list of the scene's objects.
-    Objects,
+    Objects = "objects",
     /// The report.
-    Report,
+    Report = "report",
 }
 
 impl Stage {
     /// The stages that ledger, progress, metrics and `--until` name.
-    pub const LISTED: [Stage; 9] = [
-        Stage::Poses,
-        Stage::Sky,
-        Stage::Embed,
-        Stage::Masks,
-        Stage::Geometry,
-        Stage::Features,
-        Stage::Evaluate,
-        Stage::Objects,
-        Stage::Report,
-    ];
-
-    /// Its name in the ledger, in events, metrics and cache keys.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Stage::Poses => "poses",
-            Stage::Sky => "sky",
-            Stage::Embed => "embed",
-            Stage::Masks => "masks",
-            Stage::Geometry => "geometry",
-            Stage::Visibility => "visibility",
-            Stage::Features => "features",
-            Stage::Evaluate => "evaluate",
-            Stage::Objects => "objects",
-            Stage::Report => "report",
-        }
+    pub fn all_listed() -> impl Iterator<Item = Stage> {
+        Stage::ALL.iter().copied().filter(|stage| stage.listed() == *stage)
     }
 
     /// The listed stage of a name.
@@ -68,7 +64,7 @@ impl Stage {
     /// assert_eq!(Stage::named("geometri"), None);
     /// ```
     pub fn named(name: &str) -> Option<Stage> {
-        Stage::LISTED.into_iter().find(|stage| stage.name() == name)
+        Stage::all_listed().find(|stage| stage.name() == name)
     }
 
     /// The listed stage that a failure counts for.

@@ -1,13 +1,14 @@
 //! The stage or step at which a run stops.
 
 use super::stage::Stage;
+use crate::artifacts::keys::End;
 use std::fmt;
 use std::str::FromStr;
 
 /// The last thing a run does: a stage, or a step of the training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Until {
-    /// This stage, one of [`Stage::LISTED`], and what it needs.
+    /// This stage, one of [`Stage::all_listed`], and what it needs.
     Stage(Stage),
     /// This step of the training. Fewer than the settings' `steps` leaves the training to be continued; more continues
     /// past the end of its schedules, at their last rates.
@@ -15,6 +16,14 @@ pub enum Until {
 }
 
 impl Until {
+    /// Where the training of a run that is to stop at `until` ends.
+    pub(crate) fn end(until: Option<Until>) -> End {
+        match until {
+            Some(Until::Step(step)) => End::Step(step),
+            _ => End::Settings,
+        }
+    }
+
     /// A stage by name.
     pub fn stage(name: &str) -> Option<Until> {
         Stage::named(name).map(Until::Stage)
@@ -30,7 +39,7 @@ pub enum UntilError {
     /// It is neither the name of a stage nor a number.
     #[error(
         "neither a stage ({}) nor a number of training steps",
-        Stage::LISTED.map(Stage::name).join(", ")
+        Stage::all_listed().map(Stage::name).collect::<Vec<_>>().join(", ")
     )]
     Unknown,
 }

@@ -19,16 +19,15 @@
 //! ```
 
 mod answer;
-pub(crate) mod prompts;
+mod objects;
 mod resident;
 mod save;
 mod segment;
-mod selected;
 mod viewing;
 
 pub use answer::{Answer, PendingAnswer};
+pub use objects::{export_objects, list_objects};
 pub use resident::{Session, SessionOptions};
 pub use save::SegmentOutcome;
 pub use segment::segment;
-pub use selected::{Selected, SelectedError, Shortened};
 pub use viewing::{ShownParts, ShownScene};

@@ -1,11 +1,11 @@
 //! A run's scene, kept in memory.
 
 use super::answer::{PendingAnswer, failed};
-use super::prompts::check_all;
 use crate::accelerator::leased;
 use crate::artifacts::folder::{Loaded, TrainingSnapshot};
 use crate::artifacts::images::ImageFiles;
 use crate::artifacts::photo_cache::RunPhotoCache;
+use crate::artifacts::prompts::check_all;
 use crate::artifacts::scene_tree::TreeSource;
 use crate::code::{Code, providers_for};
 use crate::output::light::{self, find};

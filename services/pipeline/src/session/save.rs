@@ -2,8 +2,8 @@
 
 use super::answer::Answer;
 use super::resident::Session;
-use super::selected::Selected;
 use crate::artifacts::intact;
+use crate::artifacts::selected::Selected;
 use crate::artifacts::traces;
 use crate::code;
 use crate::output::light::{self, find};

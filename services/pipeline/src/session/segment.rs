@@ -1,8 +1,8 @@
 //! One query of a run: a selection without a session that stays.
 
-use super::prompts::check_all;
 use super::resident::{Session, SessionOptions};
 use super::save::SegmentOutcome;
+use crate::artifacts::prompts::check_all;
 use crate::{Replay, RunError, RunFolder};
 use segwild_flow::Stopper;
 use segwild_segmenter::{FirstAnswer, SegmentSettings};

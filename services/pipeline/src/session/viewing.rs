@@ -2,9 +2,10 @@
 
 use super::answer::Answer;
 use super::resident::{PHOTO_BYTES, Session};
-use super::selected::Selected;
+use crate::artifacts::selected::Selected;
 use crate::output::cover::cover;
 use crate::output::light::{self, BlendedAppearance};
+use crate::output::objects::coco_masks;
 use crate::output::render::{HIGHLIGHT, over_white};
 use crate::{PhotoPrompts, RunError, transients};
 use segwild_flow::Stopper;
@@ -276,7 +277,7 @@ impl Session {
         labels: Vec<u8>,
         stopper: &Stopper,
     ) -> Result<Vec<u8>, RunError> {
-        crate::output::objects::coco_masks(self, names, labels, stopper)
+        coco_masks(&self.scene, &self.model, self.size(), names, labels, stopper)
     }
 
     /// The mask of a photo's transients, as taken; `None` where the photo has none.

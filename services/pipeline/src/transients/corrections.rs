@@ -1,6 +1,7 @@
 //! Masks of transients that a person has corrected.
 
 use super::authorship::{self, FOLDER, MaskImage, WrittenMasks, image_files, pixel_hash};
+use crate::artifacts::digests::PhotoRefusal;
 use crate::artifacts::images::{OtherShape, check_shape};
 use crate::{RunError, RunFolder};
 use segwild_scene::{Mask, MaskFileError, MaskFiles, Scene, SceneError, View};
@@ -28,7 +29,7 @@ struct Correction {
 /// A corrected mask of the folder of `--transient-masks` that cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[error("its mask in --transient-masks {folder} cannot be used: {source}")]
-pub(crate) struct UnusableCorrection {
+struct UnusableCorrection {
     /// The folder.
     folder: String,
     /// Why.
@@ -103,8 +104,8 @@ impl Corrections {
     }
 
     /// Views whose corrected mask cannot be used, each with the reason. A run leaves these photos out.
-    pub(crate) fn unusable(&self) -> &[(usize, Arc<UnusableCorrection>)] {
-        &self.unusable
+    pub fn unusable(&self) -> impl Iterator<Item = (usize, PhotoRefusal)> {
+        self.unusable.iter().map(|(view, reason)| (*view, reason.clone() as PhotoRefusal))
     }
 
     /// Moves the damaged mask images aside, so that they are made again. Returns a sentence for each.
@@ -115,9 +116,9 @@ impl Corrections {
         authorship::put_aside(&self.damaged)
     }
 
-    /// Hash of a view's corrected mask, for the keys of what is made with it.
-    pub fn digest(&self, view: usize) -> Option<&str> {
-        Some(self.found.get(view)?.as_ref()?.digest.as_str())
+    /// Per view, the hash of its corrected mask, for the keys of what is made with it.
+    pub fn digests(&self) -> Vec<Option<&str>> {
+        self.found.iter().map(|one| Some(one.as_ref()?.digest.as_str())).collect()
     }
 
     /// Hash of all corrected masks; `None` when there is none.
@@ -204,12 +205,12 @@ mod tests {
         std::fs::write(named.join("c.png"), b"no image").unwrap();
         let found = Corrections::find(&scene, &run, &named.to_string_lossy()).unwrap();
         let reasons: Vec<(usize, String)> =
-            found.unusable().iter().map(|(i, why)| (*i, why.to_string())).collect();
+            found.unusable().map(|(i, why)| (i, why.to_string())).collect();
         assert!(
             matches!(&reasons[..], [(1, b), (2, c)] if b.contains("b.png: it has 50 x 50") && c.contains("c.png")),
             "{reasons:?}"
         );
-        let digests: Vec<bool> = (0..4).map(|view| found.digest(view).is_some()).collect();
+        let digests: Vec<bool> = found.digests().iter().map(Option::is_some).collect();
         assert_eq!(digests, [true, false, false, false]);
     }
 }

@@ -26,7 +26,7 @@ mod scoring;
 mod visibility;
 
 pub use authorship::TrainFit;
-pub(crate) use corrections::{Corrections, UnusableCorrection};
+pub(crate) use corrections::Corrections;
 pub(crate) use images::{TransientMaskWriter, damaged, of_run, read_image, write_image};
 pub(crate) use known::KnownTransients;
 pub use scoring::{TransientScore, TransientScores, score_transients};

@@ -2,21 +2,22 @@
 
 use super::bounds::bounds;
 use super::coco::{CocoAnnotation, CocoCategory, CocoFile, CocoImage, CocoRle};
-use super::list::{ListedObjects, ObjectList, SceneObject};
+use super::list::{ListRequest, ListedObjects, SceneObject};
 use super::npy::to_npy;
 use super::sheet;
 use crate::output::light;
 use crate::settings::AT_ONCE;
-use crate::{ExportFormat, RunError, Session};
+use crate::{ExportFormat, RunError};
 use rayon::prelude::*;
 use segwild_flow::{Phase, Stopper, files};
-use segwild_scene::{Export, Mask};
+use segwild_scene::{Export, Mask, Scene};
 use segwild_segmenter::PosedView;
 use segwild_segmenter::scene_tree::{PartMap, SceneParts};
+use segwild_trainer::Model;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// What [`export_objects`] wrote.
+/// What [`crate::export_objects`] wrote.
 #[derive(Clone, Debug, Serialize)]
 pub struct ExportedObjects {
     /// The folder.
@@ -27,23 +28,12 @@ pub struct ExportedObjects {
     pub masks: usize,
 }
 
-impl ObjectList {
-    /// Whether it lists the objects of a session's scene: it may be of an earlier training.
-    pub fn is_of(&self, session: &Session) -> bool {
-        session.list_request().is_ok_and(|request| request.key == self.tree)
-    }
-}
-
-/// Writes all objects of a run's list into the folder `out`, as a whole or not at all: a file of each in `format`, `labels.ply` (the whole scene;
-/// the property `object` is the number, 0 for none), `labels.npy` (the same numbers alone, in its order), `coco.json` (their masks on all photos, as taken), `objects.json` and
-/// `sheet.png`. Colours have the appearance of the photo `appearance`, or the scene's own if it is empty. Spikes are not
-/// cut: [`Session::ask`] refines one object.
+/// As [`crate::export_objects`], of the scene of `request`.
 ///
 /// # Errors
-/// When the run has no scene tree, `appearance` is no photo, the folder is not empty, the format's program is missing or fails,
-/// a file cannot be written, or `stopper` stops it.
-pub fn export_objects(
-    session: &Session,
+/// As there.
+pub(crate) fn write_objects(
+    request: &ListRequest,
     listed: &ListedObjects,
     out: &Path,
     appearance: &str,
@@ -54,17 +44,17 @@ pub fn export_objects(
         return Err(RunError::Request(format!("{} is not empty: choose a new folder", out.display())));
     }
     let writer = format.writer()?;
-    let request = session.list_request()?;
-    let in_colour = light::shown(request.scene(), request.model, appearance)?;
+    let (scene, model) = (request.scene(), request.model);
+    let in_colour = light::shown(scene, model, appearance)?;
     let names: Vec<String> = listed.list.objects.iter().map(SceneObject::label).collect();
-    let coco = annotations(session, &names, &listed.parts, stopper)?;
+    let coco = annotations(scene, model, request.photos.long_side(), &names, &listed.parts, stopper)?;
     files::write_folder(out, |aside| -> Result<(), RunError> {
         let json = |name: &str, value: serde_json::Result<Vec<u8>>| -> Result<(), RunError> {
             let path = aside.join(name);
             let bytes = value.map_err(|e| RunError::Folder { path: path.clone(), reason: e.to_string() })?;
             Ok(files::write_atomic(&path, &bytes)?)
         };
-        let export = light::export(request.scene(), request.model);
+        let export = light::export(scene, model);
         for object in &listed.list.objects {
             let holds = |i: &usize| usize::from(listed.parts.labels[*i]) == object.number;
             let splats: Vec<usize> = (0..in_colour.len()).filter(holds).collect();
@@ -83,26 +73,29 @@ pub fn export_objects(
 }
 
 /// The masks of named objects on all photos, as the bytes of a COCO file. `labels`: per splat, the number of its object from 1,
-/// 0 for none.
+/// 0 for none. `size`: the long side at which masks are rendered, in pixels.
 pub(crate) fn coco_masks(
-    session: &Session,
+    scene: &Scene,
+    model: &Model,
+    size: u32,
     names: &[String],
     labels: Vec<u8>,
     stopper: &Stopper,
 ) -> Result<Vec<u8>, RunError> {
     let parts = SceneParts { groups: Vec::new(), labels };
-    let file = annotations(session, names, &parts, stopper)?;
+    let file = annotations(scene, model, size, names, &parts, stopper)?;
     serde_json::to_vec(&file).map_err(|e| RunError::Request(e.to_string()))
 }
 
 /// The masks of named parts on all photos, in pixels of the photos as taken.
 fn annotations(
-    session: &Session,
+    scene: &Scene,
+    model: &Model,
+    size: u32,
     names: &[String],
     parts: &SceneParts,
     stopper: &Stopper,
 ) -> Result<CocoFile, RunError> {
-    let (scene, model) = (session.scene(), session.model());
     let mut file = CocoFile::default();
     file.categories.extend(names.iter().zip(1..).map(|(name, id)| CocoCategory {
         id,
@@ -117,7 +110,7 @@ fn annotations(
         }
         let masks_of = |&index: &usize| -> Result<Vec<(usize, Mask)>, RunError> {
             let view = &scene.views[index];
-            let posed = PosedView { camera: session.working_camera(index), ..view.into() };
+            let posed = PosedView { camera: view.camera.scaled_to(size), ..view.into() };
             let map = PartMap::render(&model.splats, &model.options(), &posed, parts)?;
             let counts = map.counts();
             let present = (1..=names.len()).filter(|&number| counts.get(number) > Some(&0));
@@ -146,15 +139,4 @@ fn annotations(
         }
     }
     Ok(file)
-}
-
-/// Writes the list of a run's objects, for [`ObjectList::read`]. Names of the list before are kept.
-///
-/// # Errors
-/// When the run has no scene tree, a file cannot be written, or `stopper` stops it.
-pub fn list_objects(session: &Session, stopper: &Stopper) -> Result<ListedObjects, RunError> {
-    let folder = session.folder();
-    let listed = session.list_request()?.list(ObjectList::read(folder).as_ref(), stopper)?;
-    listed.write(folder)?;
-    Ok(listed)
 }

@@ -7,7 +7,7 @@ mod list;
 mod npy;
 mod sheet;
 
-pub(crate) use export::coco_masks;
-pub use export::{ExportedObjects, export_objects, list_objects};
+pub use export::ExportedObjects;
+pub(crate) use export::{coco_masks, write_objects};
 pub(crate) use list::ListRequest;
 pub use list::{ListedObjects, ObjectList, SceneObject};

@@ -3,13 +3,13 @@
 use super::html::{self, ChartSeries};
 use super::objects;
 use super::shown::{SHOWN, pass, spread};
+use crate::artifacts::auto_choice::AutoChoice;
 use crate::artifacts::folder::Loaded;
 use crate::artifacts::history::{self, Moment};
 use crate::artifacts::images::ImageFiles;
 use crate::output::cover::cover;
 use crate::output::evaluate::{HeldOut, HeldOutScore, held_out_render};
 use crate::output::render::{RenderContent, SceneRenderer};
-use crate::run::choice::AutoChoice;
 use crate::transients::{self, TrainFit};
 use crate::{AppearanceChoice, BudgetChoice, RunError, RunFolder, choose_engine, log_loss};
 use segwild_flow::codec::Decode;

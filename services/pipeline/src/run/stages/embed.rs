@@ -5,6 +5,7 @@ use crate::run::context::RunContext;
 use crate::run::need::{Extent, Need};
 use crate::run::node::{Feed, Performer, StageNode, StageWork};
 use crate::run::outcome::ActorOutcome;
+use crate::run::results::StageResults;
 use crate::run::stage::Stage;
 use crate::run::work::{ActorStage, Actors, StageState};
 use segwild_features::{FeatureOutcome, FeatureTask};
@@ -16,6 +17,12 @@ pub const NODE: StageNode = StageNode {
     by: Performer::Actor("features"),
     feed: Some(Feed { source: "photos", sends: "view*" }),
     needs: &[Need { stage: Stage::Poses, extent: Extent::Whole, what: "poses" }],
+    results: StageResults::PerPhoto {
+        domain: "embed stage",
+        keys: |keys| &keys.embedding,
+        held_out: false,
+        from_snapshot: false,
+    },
     work: StageWork::Actors(|| Box::new(EmbedStage::Waiting)),
 };
 
@@ -37,7 +44,7 @@ impl ActorStage for EmbedStage {
     fn start(&mut self, run: &mut RunContext<'_>, actors: &Actors<'_>) -> Result<(), RunError> {
         let views = run.views(false);
         *self = EmbedStage::Open(views.len());
-        run.open(Stage::Embed, views.len())?;
+        run.open(Stage::Embed, &NODE.key(&run.keys), views.len())?;
         let (features, keys) = (actors.features.clone(), run.keys.embedding.clone());
         // A source only sends and needs no threads to compute on.
         let feeder = ActorOptions { threads: Some(1), ..ActorOptions::default() };
@@ -70,7 +77,7 @@ impl ActorStage for EmbedStage {
             *open -= 1;
         }
         if self.state() == StageState::Over {
-            run.close(Stage::Embed)?;
+            run.close(Stage::Embed, &NODE.key(&run.keys))?;
         }
         Ok(None)
     }

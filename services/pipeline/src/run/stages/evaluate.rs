@@ -5,6 +5,7 @@ use crate::output::evaluate::{HeldOut, held_out};
 use crate::run::after::AfterActors;
 use crate::run::need::{Extent, Need};
 use crate::run::node::{Performer, StageNode, StageWork};
+use crate::run::results::StageResults;
 use crate::run::stage::Stage;
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{ActorFailure, Event};
@@ -20,6 +21,7 @@ pub const NODE: StageNode = StageNode {
         Need { stage: Stage::Geometry, extent: Extent::Whole, what: "trained scene" },
         Need { stage: Stage::Features, extent: Extent::Whole, what: "" },
     ],
+    results: StageResults::Files(|keys| keys.evaluation),
     work: StageWork::Run(evaluate),
 };
 
@@ -28,7 +30,7 @@ fn evaluate(after: &mut AfterActors<'_, '_>) -> Result<(), RunError> {
     let Some(model) = run.made.model.clone() else { return Ok(()) };
     let name = Stage::Evaluate.name();
     let events = &run.options.events;
-    let key = run.keys.stage(Stage::Evaluate);
+    let key = run.keys.evaluation;
     let known = run.folder.read_json::<HeldOut>("evaluation.json").ok();
     if run.ledger.stage_is_done(name, &key)? && (known.is_some() || !*holds_out) {
         events.tell(Event::StageSkipped { stage: name.into(), key: key.to_string() });

@@ -7,6 +7,7 @@ use crate::run::context::RunContext;
 use crate::run::need::{Extent, Need};
 use crate::run::node::{Performer, StageNode, StageWork};
 use crate::run::outcome::ActorOutcome;
+use crate::run::results::StageResults;
 use crate::run::stage::Stage;
 use crate::run::work::{ActorStage, Actors, StageState};
 use segwild_features::{FeatureField, FeatureOutcome, FeatureTask};
@@ -24,6 +25,7 @@ pub const NODE: StageNode = StageNode {
         Need { stage: Stage::Masks, extent: Extent::PerPhoto, what: "masks*" },
         Need { stage: Stage::Visibility, extent: Extent::Whole, what: "visibility*" },
     ],
+    results: StageResults::Cached(|keys| keys.features),
     work: StageWork::Actors(|| Box::new(FeatureStage::Waiting)),
 };
 

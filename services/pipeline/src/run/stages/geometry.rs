@@ -10,10 +10,12 @@ use crate::run::need::{Extent, Need};
 use crate::run::node::{Performer, StageNode, StageWork};
 use crate::run::outcome::ActorOutcome;
 use crate::run::products::{Products, SnapshotSlot};
+use crate::run::results::{StageResults, StageVerdict};
+use crate::run::situation::{KeptResults, Situation};
 use crate::run::stage::Stage;
 use crate::run::work::{ActorStage, Actors, StageState};
 use segwild_flow::ledger::ViewOutcome;
-use segwild_flow::{ActorFailure, Phase};
+use segwild_flow::{ActorFailure, Phase, files};
 use segwild_scene::ReaderError;
 use segwild_trainer::{FindCheckpoint, Model, Photos, Sifted, TrainOrder, TrainOutcome, TrainPhoto};
 use std::sync::Arc;
@@ -26,6 +28,7 @@ pub const NODE: StageNode = StageNode {
     by: Performer::Actor("trainer"),
     feed: None,
     needs: &[Need { stage: Stage::Sky, extent: Extent::PerPhoto, what: "sky*" }],
+    results: StageResults::Found { key: |keys| keys.geometry, verdict },
     work: StageWork::Actors(|| Box::new(GeometryStage::Waiting)),
 };
 
@@ -291,4 +294,35 @@ fn find_checkpoint(run: &RunContext<'_>, before: u32) -> Arc<FindCheckpoint> {
         }
         Ok(None)
     })
+}
+
+/// What a run would do with the training: the same decision as at the start of the stage.
+fn verdict(now: &Situation, kept: &KeptResults<'_>) -> Result<StageVerdict, RunError> {
+    let KeptResults { cache, folder, ledger } = *kept;
+    let (trained, snapshot) = (cache.contains(&now.keys.geometry), cache.contains(&now.keys.snapshot));
+    if trained && snapshot {
+        return Ok(StageVerdict::Reused);
+    }
+    let mut steps: Vec<u32> = Vec::new();
+    if let Some(ledger) = ledger {
+        let rows = ledger.checkpoints(Stage::Geometry.name(), &now.keys.training)?;
+        // A run passes over checkpoints that are gone or whose content has changed.
+        let whole = rows.iter().filter(|row| {
+            let bytes = folder.checkpoint(row).and_then(|path| files::read_plain(&path).ok());
+            bytes.is_some_and(|bytes| blake3::hash(&bytes).to_hex().as_str() == row.digest)
+        });
+        // Without the snapshot, the training has to pass the snapshot step again.
+        steps.extend(whole.map(|row| row.step as u32).filter(|&step| snapshot || step < now.snapshot_step));
+    }
+    // A continued training starts from the last step of another, until it has a checkpoint of its own.
+    steps.extend(now.origin.as_ref().filter(|_| snapshot).map(|origin| origin.step));
+    let last_before = |end: u32| steps.iter().copied().filter(|&step| step <= end).max();
+    if trained {
+        let from = last_before(now.snapshot_step).unwrap_or(0);
+        return Ok(StageVerdict::SnapshotAgain { from, to: now.snapshot_step });
+    }
+    if let Some(step) = last_before(u32::MAX).filter(|&step| now.goal < now.end && step >= now.goal) {
+        return Ok(StageVerdict::Stands { step });
+    }
+    Ok(last_before(now.goal).map_or(StageVerdict::Made, |step| StageVerdict::GoesOn { step }))
 }

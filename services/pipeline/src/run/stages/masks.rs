@@ -7,6 +7,7 @@ use crate::run::inputs::SnapshotRenders;
 use crate::run::need::{Extent, Need};
 use crate::run::node::{Feed, Performer, StageNode, StageWork};
 use crate::run::outcome::ActorOutcome;
+use crate::run::results::StageResults;
 use crate::run::stage::Stage;
 use crate::run::work::{ActorStage, Actors, StageState};
 use segwild_flow::{ActorFailure, ActorOptions};
@@ -23,6 +24,12 @@ pub const NODE: StageNode = StageNode {
         Need { stage: Stage::Sky, extent: Extent::Part, what: "skies" },
         Need { stage: Stage::Geometry, extent: Extent::Part, what: "snapshot at a fixed step" },
     ],
+    results: StageResults::PerPhoto {
+        domain: "masks stage",
+        keys: |keys| &keys.masks,
+        held_out: false,
+        from_snapshot: true,
+    },
     work: StageWork::Actors(|| Box::new(MasksStage::Waiting)),
 };
 
@@ -45,7 +52,7 @@ impl ActorStage for MasksStage {
         let Some(snapshot) = run.made.snapshot.take() else { return Ok(()) };
         let views = run.views(false);
         *self = MasksStage::Open(views.len());
-        run.open(Stage::Masks, views.len())?;
+        run.open(Stage::Masks, &NODE.key(&run.keys), views.len())?;
         let (size, keys, skies) = (run.settings.scene.size, run.keys.masks.clone(), run.skies.clone());
         let (cache, mask_source, out) =
             (run.cache.clone(), run.settings.masks.mask_source, actors.masks.clone());
@@ -85,7 +92,7 @@ impl ActorStage for MasksStage {
         run.mask_speed.add(seconds, run.bars.contains_key(&Stage::Geometry));
         if self.state() == StageState::Over {
             run.mask_speed.report(&run.options.events);
-            run.close(Stage::Masks)?;
+            run.close(Stage::Masks, &NODE.key(&run.keys))?;
         }
         Ok(None)
     }

@@ -1,5 +1,5 @@
 //! The stages of a run, a file each: what the stage needs, how it starts, and what follows from the outcomes of its
-//! actor. A new stage is a file here, its name in [`Stage`](super::stage::Stage), and a line in [`NODES`].
+//! actor. A new stage is a file here, a line in [`Stage`](super::stage::Stage), and its lines in this file.
 
 mod embed;
 mod evaluate;
@@ -15,7 +15,7 @@ mod visibility;
 use super::node::StageNode;
 
 /// Every stage, in the order in which they end.
-pub const NODES: [StageNode; 10] = [
+pub static NODES: &[StageNode] = &[
     poses::NODE,
     sky::NODE,
     embed::NODE,

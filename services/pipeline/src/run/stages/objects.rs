@@ -1,14 +1,16 @@
 //! The stage `objects`: the list of the trained scene's objects, from its tree.
 
 use crate::RunError;
+use crate::artifacts::keys::Keys;
 use crate::artifacts::scene_tree::TreeSource;
 use crate::output::objects::{ListRequest, ObjectList};
 use crate::run::after::AfterActors;
 use crate::run::context::RunContext;
 use crate::run::need::{Extent, Need};
 use crate::run::node::{Performer, StageNode, StageWork};
+use crate::run::results::StageResults;
 use crate::run::stage::Stage;
-use segwild_flow::Event;
+use segwild_flow::{Event, Key};
 use segwild_trainer::Model;
 
 /// The stage in the graph.
@@ -20,8 +22,16 @@ pub const NODE: StageNode = StageNode {
         Need { stage: Stage::Geometry, extent: Extent::Whole, what: "trained scene" },
         Need { stage: Stage::Visibility, extent: Extent::Whole, what: "scene tree" },
     ],
+    results: StageResults::Files(list_key),
     work: StageWork::Run(objects),
 };
+
+/// Raised when the list of the same objects changes.
+const FORMAT: u32 = 1;
+
+fn list_key(keys: &Keys) -> Key {
+    Key::of("objects stage").key("tree", &keys.scene_tree()).value("format", FORMAT).finish()
+}
 
 fn objects(after: &mut AfterActors<'_, '_>) -> Result<(), RunError> {
     let AfterActors { run, report, traces, .. } = after;
@@ -32,7 +42,7 @@ fn objects(after: &mut AfterActors<'_, '_>) -> Result<(), RunError> {
 }
 
 fn list(run: &RunContext<'_>, model: &Model) -> Result<(), RunError> {
-    let (folder, name, key) = (run.folder, Stage::Objects.name(), run.keys.stage(Stage::Objects));
+    let (folder, name, key) = (run.folder, Stage::Objects.name(), list_key(&run.keys));
     let events = &run.options.events;
     let before = ObjectList::read(folder);
     if run.ledger.stage_is_done(name, &key)? && before.is_some() {

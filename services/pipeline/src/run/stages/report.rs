@@ -5,7 +5,9 @@ use crate::output::report::write_report;
 use crate::run::after::EndOfRun;
 use crate::run::need::{Extent, Need};
 use crate::run::node::{Performer, StageNode, StageWork};
+use crate::run::results::StageResults;
 use crate::run::stage::Stage;
+use segwild_flow::Key;
 
 /// The stage in the graph.
 pub const NODE: StageNode = StageNode {
@@ -16,6 +18,7 @@ pub const NODE: StageNode = StageNode {
         Need { stage: Stage::Evaluate, extent: Extent::Whole, what: "scores" },
         Need { stage: Stage::Objects, extent: Extent::Whole, what: "object list" },
     ],
+    results: StageResults::Rewritten(|keys| Key::of("report").key("features", &keys.features).finish()),
     work: StageWork::End(report),
 };
 

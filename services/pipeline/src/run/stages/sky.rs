@@ -7,6 +7,7 @@ use crate::run::need::{Extent, Need};
 use crate::run::node::{Feed, Performer, StageNode, StageWork};
 use crate::run::outcome::ActorOutcome;
 use crate::run::products::Products;
+use crate::run::results::StageResults;
 use crate::run::stage::Stage;
 use crate::run::work::{ActorStage, Actors, StageState};
 use segwild_flow::ActorOptions;
@@ -18,6 +19,12 @@ pub const NODE: StageNode = StageNode {
     by: Performer::Actor("masks"),
     feed: Some(Feed { source: "ingest", sends: "view*" }),
     needs: &[Need { stage: Stage::Poses, extent: Extent::Whole, what: "poses" }],
+    results: StageResults::PerPhoto {
+        domain: "sky stage",
+        keys: |keys| &keys.sky,
+        held_out: true,
+        from_snapshot: false,
+    },
     work: StageWork::Actors(|| Box::new(SkyStage::Waiting)),
 };
 
@@ -56,7 +63,7 @@ impl ActorStage for SkyStage {
         *self = SkyStage::Open { all: views.len(), trained_on: training.len() };
         // Held-out photos come last: only the scores need their skies.
         run.skies.plan(training.into_iter().chain(held_out));
-        run.open(Stage::Sky, views.len())?;
+        run.open(Stage::Sky, &NODE.key(&run.keys), views.len())?;
         let (masks, keys, skies) = (actors.masks.clone(), run.keys.sky.clone(), run.skies.clone());
         // A source only sends and needs no threads to compute on.
         let feeder = ActorOptions { threads: Some(1), ..ActorOptions::default() };
@@ -90,7 +97,7 @@ impl ActorStage for SkyStage {
             *trained_on -= usize::from(!run.scene.views[view].test);
         }
         if self.state() == StageState::Over {
-            run.close(Stage::Sky)?;
+            run.close(Stage::Sky, &NODE.key(&run.keys))?;
         }
         Ok(None)
     }

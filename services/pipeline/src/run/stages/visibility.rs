@@ -11,6 +11,7 @@ use crate::run::memory;
 use crate::run::need::{Extent, Need};
 use crate::run::node::{Performer, StageNode, StageWork};
 use crate::run::outcome::ActorOutcome;
+use crate::run::results::StageResults;
 use crate::run::stage::Stage;
 use crate::run::work::{ActorStage, Actors, StageState};
 use segwild_flow::ledger::ViewOutcome;
@@ -29,6 +30,12 @@ pub const NODE: StageNode = StageNode {
         Need { stage: Stage::Sky, extent: Extent::Part, what: "skies" },
         Need { stage: Stage::Geometry, extent: Extent::Whole, what: "trained scene" },
     ],
+    results: StageResults::PerPhoto {
+        domain: "visibility stage",
+        keys: |keys| &keys.visibility,
+        held_out: false,
+        from_snapshot: false,
+    },
     work: StageWork::Actors(|| Box::new(VisibilityStage::Waiting)),
 };
 

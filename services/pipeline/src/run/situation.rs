@@ -1,0 +1,98 @@
+//! A run's scene and the keys that follow from its settings, before it starts.
+
+use super::choice;
+use super::continued::ContinuedTraining;
+use super::memory;
+use super::poses::scene_or_photos;
+use crate::artifacts::digests::{Digests, photo_digest};
+use crate::artifacts::keys::{End, Keys, TrainingOrigin};
+use crate::transients::Corrections;
+use crate::{RunError, RunFolder, Settings, choose_engine};
+use segwild_flow::{Cache, Ledger};
+use segwild_scene::{PhotoStore, Scene};
+use segwild_vision::{NetworkFile, Providers};
+use std::path::Path;
+use std::sync::Arc;
+
+/// A run's scene and the keys that follow from its settings.
+pub struct Situation {
+    /// The scene.
+    pub scene: Arc<Scene>,
+    /// The keys of what the run makes.
+    pub keys: Keys,
+    /// The networks that it uses.
+    pub networks: Vec<NetworkFile>,
+    /// The photos whose transients were corrected by hand, in words.
+    pub corrected: Option<String>,
+    /// Where the training starts, if not at step 0.
+    pub origin: Option<TrainingOrigin>,
+    /// The step that the training ends at, or is to stop at.
+    pub goal: u32,
+    /// The step that the training ends at by its settings.
+    pub end: u32,
+    /// The step of the snapshot that masks are made from.
+    pub snapshot_step: u32,
+}
+
+/// What a run folder has kept of earlier runs.
+pub struct KeptResults<'a> {
+    /// The cache.
+    pub cache: &'a Cache,
+    /// The folder.
+    pub folder: &'a RunFolder,
+    /// Its ledger, if it has one.
+    pub ledger: Option<&'a Ledger>,
+}
+
+impl Situation {
+    /// The situation of a run with these settings that ends at `end`. Reads every photo's file, and changes nothing.
+    ///
+    /// # Errors
+    /// When the scene, the settings or the run folder cannot be used.
+    pub fn of(
+        path: &Path,
+        folder: &RunFolder,
+        ledger: Option<&Ledger>,
+        settings: &Settings,
+        end: &End,
+    ) -> Result<Situation, RunError> {
+        let scene = match scene_or_photos(path, &settings.scene)? {
+            Ok(scene) => scene,
+            Err(_) => folder.open_posed(path, &settings.scene)?,
+        };
+        let providers = Providers::from_settings(&settings.vision)?;
+        let steps_open = settings.steps_open(&scene);
+        let settings = &settings.decided(&scene);
+        let engine = choose_engine(&settings.run, drop)?.engine;
+        let corrections = Corrections::find(&scene, folder, &settings.scene.transient_masks)?;
+        let corrected = corrections.in_words(&scene);
+        let scene = Arc::new(scene);
+        // Without a cache: to explain a run changes nothing.
+        let photos = PhotoStore::new(scene.clone(), settings.scene.size, 0);
+        let limit = memory::decoding_limit(settings, &scene);
+        let digest = |view: usize| {
+            memory::fits_budget(settings, &scene.views[view], limit)?;
+            Ok(photo_digest(&scene.views[view])?)
+        };
+        let digests = Digests::read(&photos, &digest, settings, &|| false)?.without(corrections.unusable());
+        let named = |settings: &Settings, corrections: &Corrections, end: &End| {
+            Keys::of(&scene, digests.clone(), settings, &providers, &corrections.digests(), engine.name(), end)
+        };
+        let name = |settings: &Settings| named(settings, &corrections, end);
+        // A choice that is still open leaves its `auto` in the key: all that depends on it is then to be made.
+        let cache = Cache::at(folder.path().join("cache"));
+        let settings = choice::decided_before(&cache, settings, steps_open, &name)?;
+        let (mut keys, mut goal, mut origin) = (name(&settings), end.step(), None);
+        if let (End::Settings, Some(ledger)) = (end, ledger) {
+            let named = |corrections: &Corrections, end: &End| named(&settings, corrections, end);
+            if let Some(continued) =
+                ContinuedTraining::find(folder, ledger, &cache, &settings, &corrections, &named)?
+            {
+                (keys, goal, origin) = (continued.keys, Some(continued.origin.end), Some(continued.origin));
+            }
+        }
+        let (end, snapshot_step) = (settings.train.steps, settings.train.snapshot_step());
+        let networks = providers.networks;
+        Ok(Situation { scene, keys, networks, corrected, origin, goal: goal.unwrap_or(end), end, snapshot_step })
+    }
+}

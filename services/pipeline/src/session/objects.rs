@@ -1,0 +1,44 @@
+//! The objects of a session's scene: their list and their export.
+
+use super::resident::Session;
+use crate::output::objects::write_objects;
+use crate::{ExportFormat, ExportedObjects, ListedObjects, ObjectList, RunError};
+use segwild_flow::Stopper;
+use std::path::Path;
+
+impl ObjectList {
+    /// Whether it lists the objects of a session's scene: it may be of an earlier training.
+    pub fn is_of(&self, session: &Session) -> bool {
+        session.list_request().is_ok_and(|request| request.key == self.tree)
+    }
+}
+
+/// Writes all objects of a run's list into the folder `out`, as a whole or not at all: a file of each in `format`, `labels.ply` (the whole scene;
+/// the property `object` is the number, 0 for none), `labels.npy` (the same numbers alone, in its order), `coco.json` (their masks on all photos, as taken), `objects.json` and
+/// `sheet.png`. Colours have the appearance of the photo `appearance`, or the scene's own if it is empty. Spikes are not
+/// cut: [`Session::ask`] refines one object.
+///
+/// # Errors
+/// When the run has no scene tree, `appearance` is no photo, the folder is not empty, the format's program is missing or fails,
+/// a file cannot be written, or `stopper` stops it.
+pub fn export_objects(
+    session: &Session,
+    listed: &ListedObjects,
+    out: &Path,
+    appearance: &str,
+    format: ExportFormat,
+    stopper: &Stopper,
+) -> Result<ExportedObjects, RunError> {
+    write_objects(&session.list_request()?, listed, out, appearance, format, stopper)
+}
+
+/// Writes the list of a run's objects, for [`ObjectList::read`]. Names of the list before are kept.
+///
+/// # Errors
+/// When the run has no scene tree, a file cannot be written, or `stopper` stops it.
+pub fn list_objects(session: &Session, stopper: &Stopper) -> Result<ListedObjects, RunError> {
+    let folder = session.folder();
+    let listed = session.list_request()?.list(ObjectList::read(folder).as_ref(), stopper)?;
+    listed.write(folder)?;
+    Ok(listed)
+}
