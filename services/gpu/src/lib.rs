@@ -50,6 +50,7 @@ mod device;
 mod engine;
 mod field;
 mod groups;
+mod layer_flags;
 mod memory;
 mod need;
 mod nets;

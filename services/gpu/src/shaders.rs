@@ -1,6 +1,6 @@
 //! The kernels' sources: files of `shaders/`, embedded in the program, with their imports resolved.
 
-use crate::nets::CONSTANTS;
+use crate::layer_flags::CONSTANTS;
 use segwild_objective::compare::{self, PhotoTarget};
 use segwild_objective::{background, field, gsw, transients};
 use segwild_raster::{ALPHA_MAX, ALPHA_MIN, LOG2_ALPHA_MIN, SLACK, T_MIN};

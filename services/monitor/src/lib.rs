@@ -26,7 +26,6 @@ pub mod metrics;
 mod ready;
 pub mod top;
 pub mod view;
-mod why;
 pub mod words;
 
 pub use http::{MonitorSource, ServeError, Server, serve, start};

@@ -2,7 +2,8 @@
 
 use crate::decode::converted;
 use crate::draft::Draft;
-use crate::names::{Listing, below, is_inside, is_photo, key, stem, tidy};
+use crate::endings::is_photo;
+use crate::names::{Listing, below, is_inside, key, stem, tidy};
 use crate::photo_files::{Claim, LocateError, PHOTO_FOLDERS, no_file, photo_folders, settle};
 use crate::{PosedPhotos, SceneError, SceneSettings, Skipped, colmap, draft, transforms};
 use rayon::prelude::*;

@@ -1,6 +1,7 @@
 //! Which file is the mask of a photo.
 
-use crate::names::{Listing, ListingEntry, READ, key, last_part, stem};
+use crate::endings::READ;
+use crate::names::{Listing, ListingEntry, key, last_part, stem};
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 

@@ -8,25 +8,6 @@ use unicode_normalization::UnicodeNormalization;
 /// Folders deeper than this below the photo folder are not looked into.
 const DEPTH: usize = 12;
 
-/// Endings of images that are read, in small letters and best first: the one list of them.
-pub(crate) const READ: [&str; 7] = ["png", "tif", "tiff", "jpg", "jpeg", "webp", "bmp"];
-/// The same in capitals.
-pub(crate) const CAPITALS: [&str; 7] = ["PNG", "JPG", "TIF", "TIFF", "JPEG", "WEBP", "BMP"];
-/// Endings of photos that are not read and that have to be converted.
-pub(crate) const AVIF: [&str; 2] = ["avif", "avifs"];
-pub(crate) const HEIC: [&str; 3] = ["heic", "heif", "hif"];
-pub(crate) const RAW: [&str; 15] =
-    ["cr2", "cr3", "crw", "nef", "nrw", "dng", "arw", "srf", "sr2", "raf", "orf", "rw2", "pef", "srw", "x3f"];
-pub(crate) const JXL: [&str; 1] = ["jxl"];
-pub(crate) const JPEG_2000: [&str; 3] = ["jp2", "j2k", "jpx"];
-
-/// Whether a file's ending is that of a photo, be it one that is read or not.
-pub(crate) fn is_photo(path: &Path) -> bool {
-    let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-    let lists: [&[&str]; 6] = [&READ, &AVIF, &HEIC, &RAW, &JXL, &JPEG_2000];
-    lists.iter().any(|list| list.contains(&ending.as_str()))
-}
-
 /// A name with `/` between its folders, whatever the system that wrote it, and without `./`.
 pub(crate) fn tidy(name: &str) -> String {
     let parts = name.split(['/', '\\']).filter(|part| !part.is_empty() && *part != ".");

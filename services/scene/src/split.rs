@@ -9,7 +9,7 @@
 //! - RobustNeRF's names: `clutter` trains, `extra` tests.
 
 use crate::names::{below, key, last_part, stem};
-use crate::transforms::json::frame_names;
+use crate::transforms_json::frame_names;
 use crate::{SceneError, SceneSettings, text};
 use serde_json::Value;
 use std::cmp::Reverse;

@@ -2,7 +2,8 @@
 
 use crate::decode::{self, ImageHead, pixels_of};
 use crate::locate::folder_setting;
-use crate::names::{Listing, ListingEntry, is_inside, is_photo, last_part};
+use crate::endings::is_photo;
+use crate::names::{Listing, ListingEntry, is_inside, last_part};
 use crate::photo_files::photo_folders;
 use crate::{ExifCamera, SceneError, SceneSettings, Skipped};
 use rayon::prelude::*;

@@ -16,6 +16,28 @@ pub fn circles(graph: &ImportGraph) -> Vec<BTreeSet<String>> {
     found
 }
 
+/// The graph of the folders below a crate's root: what the files of one import of those of another. A file of the root is a node
+/// of its own, unless it is the parent of a folder.
+pub fn of_folders(graph: &ImportGraph) -> ImportGraph {
+    let files: BTreeSet<&String> = graph.keys().chain(graph.values().flat_map(|to| to.keys())).collect();
+    let node = |file: &str| -> String {
+        let top = file.split('/').next().unwrap_or(file);
+        let folder = top.strip_suffix(".rs").map(|stem| format!("{stem}/"));
+        match folder.filter(|folder| files.iter().any(|file| file.starts_with(folder.as_str()))) {
+            Some(folder) => folder,
+            None if top == file => top.to_owned(),
+            None => format!("{top}/"),
+        }
+    };
+    let mut folders = ImportGraph::new();
+    for (from, all) in graph {
+        for (to, names) in all.iter().filter(|(to, _)| node(from) != node(to)) {
+            folders.entry(node(from)).or_default().entry(node(to)).or_default().extend(names.iter().cloned());
+        }
+    }
+    folders
+}
+
 /// The files that the imports of a file lead to.
 fn reachable(graph: &ImportGraph, from: &str) -> BTreeSet<String> {
     let mut found = BTreeSet::new();

@@ -13,24 +13,45 @@ fn circles_of(graph: &ImportGraph) -> Vec<String> {
     circles::circles(graph).iter().map(|circle| circles::lines(graph, circle).join("\n  ")).collect()
 }
 
-#[test]
-fn no_imports_of_files_make_a_circle() {
+/// The graph of imports of each crate, by its name.
+fn crates() -> Vec<(String, ImportGraph)> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the tests crate lies in the workspace");
-    let (mut wrong, mut imports) = (Vec::new(), 0);
+    let mut crates = Vec::new();
     for entry in std::fs::read_dir(root.join("services")).expect("the services").flatten() {
         let source = entry.path().join("src");
         for file in ["lib.rs", "main.rs"].into_iter().filter(|file| source.join(file).is_file()) {
             let read = |file: &str| std::fs::read_to_string(source.join(file)).ok();
-            let graph = Modules::read(file, &read).imports();
-            imports += graph.values().map(|to| to.len()).sum::<usize>();
             let name = entry.file_name().to_string_lossy().into_owned();
-            wrong
-                .extend(circles_of(&graph).into_iter().map(|circle| format!("services/{name}:\n  {circle}")));
+            crates.push((name, Modules::read(file, &read).imports()));
         }
     }
-    assert!(imports > 1000, "imports are found: {imports}");
+    crates
+}
+
+/// Fails where a graph of a crate has circles.
+fn has_no_circles(graphs: &[(String, ImportGraph)]) {
+    let lines = |(name, graph): &(String, ImportGraph)| -> Vec<String> {
+        circles_of(graph).into_iter().map(|circle| format!("services/{name}:\n  {circle}")).collect()
+    };
+    let mut wrong: Vec<String> = graphs.iter().flat_map(lines).collect();
     wrong.sort();
     assert!(wrong.is_empty(), "{} circles of imports:\n{}", wrong.len(), wrong.join("\n"));
+}
+
+#[test]
+fn no_imports_of_files_make_a_circle() {
+    let crates = crates();
+    let imports: usize = crates.iter().flat_map(|(_, graph)| graph.values()).map(|to| to.len()).sum();
+    assert!(imports > 1000, "imports are found: {imports}");
+    has_no_circles(&crates);
+}
+
+#[test]
+fn no_imports_of_folders_make_a_circle() {
+    let folders: Vec<_> =
+        crates().into_iter().map(|(name, graph)| (name, circles::of_folders(&graph))).collect();
+    assert!(folders.iter().any(|(_, graph)| graph.len() > 5), "folders are found");
+    has_no_circles(&folders);
 }
 
 /// The imports of a crate of small files, a line each.
@@ -63,6 +84,22 @@ fn a_circle_of_neighbours_and_one_with_a_parent_are_found() {
     ];
     assert_eq!(imports(&parent), ["a/b.rs -> a/mod.rs: Type", "a/mod.rs -> a/b.rs: build"]);
     assert_eq!(circles_in(&parent), 1);
+}
+
+#[test]
+fn folders_that_import_each_other_are_found_where_their_files_do_not() {
+    let files = [
+        ("lib.rs", "mod a; mod b;"),
+        ("a/mod.rs", "pub mod first; pub mod second;"),
+        ("a/first.rs", "pub struct First;"),
+        ("a/second.rs", "use crate::b::Third;"),
+        ("b.rs", "pub mod inner; use crate::a::first::First; pub struct Third;"),
+        ("b/inner.rs", "pub struct Fourth;"),
+    ];
+    let read = |file: &str| files.iter().find(|(name, _)| *name == file).map(|(_, text)| (*text).to_owned());
+    let graph = Modules::read("lib.rs", &read).imports();
+    assert!(circles_of(&graph).is_empty());
+    assert_eq!(circles_of(&circles::of_folders(&graph)), ["a/ -> b/: Third\n  b/ -> a/: First"]);
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! The uniform of a layer of a network.
 
+use crate::layer_flags::{NOWHERE, READ_QUARTERS, TURNED, WRITE_QUARTERS};
 use bytemuck::{Pod, Zeroable};
 use segwild_nn::LayerKind;
 use std::ops::Range;
@@ -26,31 +27,6 @@ pub(super) struct LayerUniform {
     pub flags: u32,
     pub unused: [u32; 2],
 }
-
-/// No offset.
-pub(super) const NOWHERE: u32 = u32::MAX;
-/// A ReLU follows.
-pub(super) const RELU: u32 = 1;
-/// The result is added to the present values.
-pub(super) const ADD: u32 = 2;
-/// The kernel is turned round.
-pub(super) const TURNED: u32 = 4;
-/// Four planes read are the quarters of one: every other pixel of every other row.
-pub(super) const READ_QUARTERS: u32 = 8;
-/// So are four that are written.
-pub(super) const WRITE_QUARTERS: u32 = 16;
-/// Columns are splats in sight.
-pub(super) const COUNTED: u32 = 32;
-/// The same for the kernels.
-pub(crate) const CONSTANTS: [(&str, u32); 7] = [
-    ("NOWHERE", NOWHERE),
-    ("RELU", RELU),
-    ("ADD", ADD),
-    ("TURNED", TURNED),
-    ("READ_QUARTERS", READ_QUARTERS),
-    ("WRITE_QUARTERS", WRITE_QUARTERS),
-    ("COUNTED", COUNTED),
-];
 
 impl LayerUniform {
     /// An empty layer between maps of such a height and width.

@@ -5,6 +5,5 @@ mod layer;
 mod plan;
 mod points;
 
-pub(crate) use layer::CONSTANTS;
 pub(crate) use plan::{GpuTape, GpuWeights, Link, NetworkPlan};
 pub(crate) use points::{GpuNetworks, NetworkLighting, PIECE, Visible, bytes, floor};

@@ -3,7 +3,8 @@
 //! All maps of a network lie in one array, and their gradients in another at the same positions; weights lie in a
 //! third, as on the host. Every kernel reads its layer from one table of [`LayerUniform`]s.
 
-use super::layer::{ADD, COUNTED, LayerUniform, NOWHERE, RELU};
+use super::layer::LayerUniform;
+use crate::layer_flags::{ADD, COUNTED, NOWHERE, RELU};
 use crate::GpuError;
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::groups::GROUP;

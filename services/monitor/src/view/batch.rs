@@ -10,7 +10,7 @@ use super::farm::FarmTarget;
 use super::folder::{ViewError, name_of};
 use super::scene::{SceneState, SceneView};
 use super::{Disk, Runs};
-use crate::why;
+use super::why;
 
 /// A batch, as it is or as it was left.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

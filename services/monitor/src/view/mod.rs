@@ -9,6 +9,7 @@ mod run;
 mod runs;
 mod scene;
 mod stage;
+mod why;
 
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};

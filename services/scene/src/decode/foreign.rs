@@ -1,7 +1,7 @@
 //! Image formats that this program does not read: recognised by their content, with the command that converts them.
 
 use super::DecodeError;
-use crate::names::{AVIF, CAPITALS, HEIC, JPEG_2000, JXL, RAW, READ};
+use crate::endings::{AVIF, CAPITALS, HEIC, JPEG_2000, JXL, RAW, READ};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 

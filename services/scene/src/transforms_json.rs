@@ -6,61 +6,61 @@ use std::path::Path;
 
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
-pub(super) struct Intrinsics {
-    pub(super) camera_model: Option<String>,
-    pub(super) camera_angle_x: Option<f64>,
-    pub(super) camera_angle_y: Option<f64>,
-    pub(super) fl_x: Option<f64>,
-    pub(super) fl_y: Option<f64>,
-    pub(super) cx: Option<f64>,
-    pub(super) cy: Option<f64>,
-    pub(super) w: Option<f64>,
-    pub(super) h: Option<f64>,
-    pub(super) k1: Option<f64>,
-    pub(super) k2: Option<f64>,
-    pub(super) k3: Option<f64>,
-    pub(super) k4: Option<f64>,
-    pub(super) k5: Option<f64>,
-    pub(super) k6: Option<f64>,
-    pub(super) p1: Option<f64>,
-    pub(super) p2: Option<f64>,
+pub(crate) struct Intrinsics {
+    pub(crate) camera_model: Option<String>,
+    pub(crate) camera_angle_x: Option<f64>,
+    pub(crate) camera_angle_y: Option<f64>,
+    pub(crate) fl_x: Option<f64>,
+    pub(crate) fl_y: Option<f64>,
+    pub(crate) cx: Option<f64>,
+    pub(crate) cy: Option<f64>,
+    pub(crate) w: Option<f64>,
+    pub(crate) h: Option<f64>,
+    pub(crate) k1: Option<f64>,
+    pub(crate) k2: Option<f64>,
+    pub(crate) k3: Option<f64>,
+    pub(crate) k4: Option<f64>,
+    pub(crate) k5: Option<f64>,
+    pub(crate) k6: Option<f64>,
+    pub(crate) p1: Option<f64>,
+    pub(crate) p2: Option<f64>,
     /// nerfstudio's other form of the same: k1, k2, k3, k4, p1, p2.
-    pub(super) distortion_params: Option<Vec<f64>>,
+    pub(crate) distortion_params: Option<Vec<f64>>,
     /// instant-ngp's words for a fisheye and for what is no lens.
-    pub(super) is_fisheye: Option<bool>,
+    pub(crate) is_fisheye: Option<bool>,
     #[serde(alias = "latlong", alias = "is_equirectangular")]
-    pub(super) equirectangular: Option<bool>,
+    pub(crate) equirectangular: Option<bool>,
     #[serde(alias = "is_orthographic")]
-    pub(super) orthographic: Option<bool>,
+    pub(crate) orthographic: Option<bool>,
     /// Its polynomial of the angle (f-theta).
-    pub(super) ftheta_p0: Option<f64>,
+    pub(crate) ftheta_p0: Option<f64>,
 }
 
 #[derive(Debug, Deserialize)]
-pub(super) struct TransformsFrame {
-    pub(super) file_path: String,
+pub(crate) struct TransformsFrame {
+    pub(crate) file_path: String,
     /// Mask of the pixels to use: black is ignored.
-    pub(super) mask_path: Option<String>,
+    pub(crate) mask_path: Option<String>,
     #[serde(default)]
-    pub(super) transform_matrix: Vec<Vec<Option<f64>>>,
+    pub(crate) transform_matrix: Vec<Vec<Option<f64>>>,
     #[serde(flatten)]
-    pub(super) intrinsics: Intrinsics,
+    pub(crate) intrinsics: Intrinsics,
 }
 
 #[derive(Debug, Deserialize)]
-pub(super) struct Transforms {
-    pub(super) frames: Vec<TransformsFrame>,
+pub(crate) struct Transforms {
+    pub(crate) frames: Vec<TransformsFrame>,
     #[serde(default)]
-    pub(super) ply_file_path: Option<String>,
-    pub(super) train_filenames: Option<Vec<String>>,
-    pub(super) val_filenames: Option<Vec<String>>,
-    pub(super) test_filenames: Option<Vec<String>>,
+    pub(crate) ply_file_path: Option<String>,
+    pub(crate) train_filenames: Option<Vec<String>>,
+    pub(crate) val_filenames: Option<Vec<String>>,
+    pub(crate) test_filenames: Option<Vec<String>>,
     #[serde(flatten)]
-    pub(super) intrinsics: Intrinsics,
+    pub(crate) intrinsics: Intrinsics,
 }
 
 impl Transforms {
-    pub(super) fn read(path: &Path) -> Result<Transforms, SceneError> {
+    pub(crate) fn read(path: &Path) -> Result<Transforms, SceneError> {
         // Python writes NaN and Infinity, which are no JSON: they become null, that is, missing.
         let text = text::read(path)?;
         let text = without_nan(&text);
