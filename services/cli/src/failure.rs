@@ -9,7 +9,7 @@ use segwild_eval::record::RecordError;
 use segwild_eval::trial::TrialError;
 use segwild_farm::{ArtefactError, BatchError, EngineError, FarmBatchError, WorkerError};
 use segwild_flow::files::name::shown;
-use segwild_flow::{LedgerError, shortage};
+use segwild_flow::{LedgerError, SystemRefusal, shortage};
 use segwild_gpu::GpuError;
 use segwild_monitor::{ServeError, ViewError};
 use segwild_pipeline::{RunError, SettingsError};
@@ -69,8 +69,8 @@ pub fn plain(message: &str) -> String {
 impl From<RunError> for Failure {
     fn from(error: RunError) -> Failure {
         let code = match &error {
-            // A vision service does not answer: no fault of the disk.
-            RunError::Storage { reason, .. } if ServiceError::is_gone(reason) => exit::INCOMPLETE,
+            RunError::Storage { refusal, .. } => refusal_code(*refusal),
+            error if is_shortage(error) => exit::SHORTAGE,
             RunError::Vision(VisionError::Service(ServiceError::Address(_) | ServiceError::Token { .. })) => {
                 exit::USAGE
             }
@@ -88,7 +88,6 @@ impl From<RunError> for Failure {
             | RunError::File(_)
             | RunError::Cache(_)
             | RunError::Record { .. }
-            | RunError::Storage { .. }
             | RunError::Ledger(_) => exit::FOLDER,
             // Another machine may have the program.
             RunError::Stage { .. } | RunError::NoProgram { .. } | RunError::Program(_) => exit::INCOMPLETE,
@@ -97,16 +96,24 @@ impl From<RunError> for Failure {
             RunError::Train(_) => exit::INPUT,
             RunError::Spawn(_) | RunError::Raster(_) | RunError::Features(_) => exit::FAILED,
         };
-        let message = error.to_string();
-        let code = if is_shortage(&error, &message) { exit::SHORTAGE } else { code };
-        Failure { message, code }
+        Failure { message: error.to_string(), code }
     }
 }
 
-/// Whether the system had something not left, by the error or, where an actor met it, by its words.
-fn is_shortage(error: &RunError, message: &str) -> bool {
+/// The code of a stage that the disk, the system or a service elsewhere stopped.
+fn refusal_code(refusal: SystemRefusal) -> u8 {
+    match refusal {
+        SystemRefusal::Disk => exit::FOLDER,
+        SystemRefusal::Shortage => exit::SHORTAGE,
+        // The same command continues once the service answers.
+        SystemRefusal::Unanswered => exit::INCOMPLETE,
+    }
+}
+
+/// Whether the system had something not left: by the error, or by its words where it keeps nothing else of its cause.
+fn is_shortage(error: &RunError) -> bool {
     let of_threads = matches!(error, RunError::Spawn(e) if shortage::is_shortage_of_processes(&e.source));
-    of_threads || shortage::is_caused_by_shortage(error) || shortage::is_shortage_message(message)
+    of_threads || shortage::is_caused_by_shortage(error) || shortage::is_shortage_message(&error.to_string())
 }
 
 fn poses_code(error: &PosesError) -> u8 {
@@ -322,7 +329,7 @@ impl From<std::io::Error> for Failure {
 mod tests {
     use super::{Failure, plain};
     use crate::exit;
-    use segwild_flow::FileError;
+    use segwild_flow::{FileError, SystemRefusal};
     use segwild_pipeline::RunError;
     use std::io::Error;
     use std::path::Path;
@@ -333,14 +340,25 @@ mod tests {
         let code = |error: RunError| Failure::from(error).code;
         for number in [23, 24] {
             let system = || Error::from_raw_os_error(number);
-            let reason = format!("cannot read masks.d/a: {}", system());
+            let reason = format!("not one of 3 photos could be done; the first: {}", system());
             assert_eq!(code(FileError::new("read", Path::new("a"), system()).into()), exit::SHORTAGE);
-            assert_eq!(code(RunError::Storage { stage: "masks", reason }), exit::SHORTAGE);
+            assert_eq!(code(RunError::Stage { stage: "masks", reason }), exit::SHORTAGE);
         }
         let other = FileError::new("read", Path::new("a"), Error::from_raw_os_error(5));
         assert_eq!(code(other.into()), exit::FOLDER);
         let named = "a (os error 24).jpg is no image".to_owned();
         assert_eq!(code(RunError::Input(named)), exit::INPUT);
+    }
+
+    #[test]
+    fn what_stopped_a_stage_has_its_code_whatever_the_words_are() {
+        let code = |refusal| {
+            let reason = "no vision service has answered for 1 s: (os error 24)".to_owned();
+            Failure::from(RunError::Storage { stage: "masks", reason, refusal }).code
+        };
+        assert_eq!(code(SystemRefusal::Disk), exit::FOLDER);
+        assert_eq!(code(SystemRefusal::Shortage), exit::SHORTAGE);
+        assert_eq!(code(SystemRefusal::Unanswered), exit::INCOMPLETE);
     }
 
     #[test]

@@ -50,11 +50,10 @@ use serde::Serialize;
 
 use crate::control::{Phase, Stopper};
 use crate::events::Events;
-use crate::files::FileError;
 use crate::mailbox::Closed;
 use crate::message::Message;
 use crate::meter::Pulse;
-use crate::shortage::{is_shortage, is_shortage_message};
+use crate::refusal::SystemRefusal;
 
 /// What to do when there is no message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -139,7 +138,7 @@ pub(crate) enum FailureKind {
     Retry,
     Reject,
     Restart,
-    Storage,
+    Storage(SystemRefusal),
     Fatal,
     Downstream,
     Stopped,
@@ -147,8 +146,7 @@ pub(crate) enum FailureKind {
 
 /// Why an actor could not do its work, and what follows. Any error becomes one by `?` and means
 /// [`ActorFailure::retry`], but for two: with [`Closed`], a consumer that has gone, the actor ends quietly; and an error of
-/// the disk or the system (a [`FileError`] anywhere behind it, or the system's word that the disk is full or read-only, or
-/// that there are too many open files) is [`ActorFailure::storage`].
+/// the disk or the system is [`ActorFailure::storage`], by what [`SystemRefusal::of`] finds in it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ActorFailure {
     pub(crate) kind: FailureKind,
@@ -177,8 +175,9 @@ impl ActorFailure {
 
     /// The disk or the system refuses: no fault of the message, which is tried again but never given up. After the last
     /// attempt the actor ends as [`Exit::Storage`](crate::Exit::Storage), and with it, by default, the run.
-    pub fn storage(error: impl fmt::Display) -> Self {
-        Self::new(FailureKind::Storage, error)
+    pub fn storage(error: impl std::error::Error + 'static) -> Self {
+        let refusal = SystemRefusal::of(&error).unwrap_or(SystemRefusal::Disk);
+        Self::new(FailureKind::Storage(refusal), error)
     }
 
     /// Nothing will help: the actor ends as failed, and with it, by default, the run.
@@ -193,7 +192,15 @@ impl ActorFailure {
 
     /// Whether the disk or the system is at fault: see [`ActorFailure::storage`].
     pub fn is_storage(&self) -> bool {
-        self.kind == FailureKind::Storage
+        self.refusal().is_some()
+    }
+
+    /// What refused the work, where the disk or the system is at fault.
+    pub fn refusal(&self) -> Option<SystemRefusal> {
+        match self.kind {
+            FailureKind::Storage(refusal) => Some(refusal),
+            _ => None,
+        }
     }
 
     /// Whether it is about this one message: others may fare better. Not so of what is fatal, of the disk, of a stop.
@@ -214,26 +221,11 @@ impl<E: std::error::Error + Send + Sync + 'static> From<E> for ActorFailure {
         let first = &error as &(dyn std::error::Error + 'static);
         let kind = if first.is::<Closed>() {
             FailureKind::Downstream
-        } else if std::iter::successors(Some(first), |error| error.source()).any(of_storage)
-            || is_shortage_message(&first.to_string())
-        {
-            FailureKind::Storage
         } else {
-            FailureKind::Retry
+            SystemRefusal::of(first).map_or(FailureKind::Retry, FailureKind::Storage)
         };
         Self::new(kind, error)
     }
-}
-
-/// Whether an error says that the disk or the system refused something.
-fn of_storage(error: &(dyn std::error::Error + 'static)) -> bool {
-    use std::io::ErrorKind::{NotConnected, QuotaExceeded, ReadOnlyFilesystem, StorageFull};
-    // Not connected: a service that the work needs does not answer, and no message is at fault.
-    let of_disk = |e: &std::io::Error| {
-        matches!(e.kind(), StorageFull | QuotaExceeded | ReadOnlyFilesystem | NotConnected)
-    };
-    let of_system = |e: &std::io::Error| of_disk(e) || is_shortage(e);
-    error.is::<FileError>() || error.downcast_ref().is_some_and(of_system)
 }
 
 /// An actor's surroundings; usable from the threads it hands work to.

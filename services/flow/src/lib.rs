@@ -10,6 +10,7 @@
 //! - [`Ledger`]: what a run has done, in SQLite, readable by others while it is written.
 //! - [`Recorder`]: what actors and mailboxes are doing, written into the ledger about once a second.
 //! - [`ProgramRunner`]: other programs as children, with a log, ended with this process.
+//! - [`SystemRefusal`]: what the disk or the system is at fault for, found in an error and its sources.
 //! - [`shortage`]: what the system says when it has no file descriptors or processes left.
 //! - [`codec`]: binary records with a header.
 //! - [`files`] and [`fault`]: the one writer of files, and faults on purpose, from the floor below.
@@ -52,6 +53,7 @@ pub mod process;
 mod program;
 pub mod progress;
 pub mod recorder;
+pub mod refusal;
 pub mod report;
 pub mod shortage;
 pub mod supervise;
@@ -74,7 +76,8 @@ pub use meter::{WaitingFor, WorkerState, waiting_for};
 pub use program::{ProgramError, ProgramRunner, find_program, program_output};
 pub use progress::StageProgress;
 pub use recorder::Recorder;
-pub use report::{ActorReport, Exit, Report, WorkerStatus};
+pub use refusal::SystemRefusal;
+pub use report::{ActorReport, Exit, Report, StorageFailure, WorkerStatus};
 pub use segwild_files::{self as files, FileError, fault};
 pub use supervise::{ActorOptions, RestartBudget};
 pub use system::{Guest, Observer, SpawnError, System, SystemOptions};

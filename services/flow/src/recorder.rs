@@ -32,7 +32,7 @@ use crate::mailbox::{AnyMailbox, MailboxStats, Receiver};
 use crate::message::Message;
 use crate::mutex::lock;
 use crate::process;
-use crate::report::{ActorReport, Exit};
+use crate::report::{ActorReport, Exit, StorageFailure};
 use crate::system::Observer;
 
 /// Time between two samples.
@@ -180,7 +180,7 @@ impl WatchedRun {
             Exit::Finished => ("finished", None),
             Exit::Stopped => ("stopped", None),
             Exit::DownstreamClosed => ("downstream_closed", None),
-            Exit::Failed(error) | Exit::Storage(error) => ("failed", Some(error)),
+            Exit::Failed(error) | Exit::Storage(StorageFailure { error, .. }) => ("failed", Some(error)),
             Exit::Late => ("late", None),
         };
         let worker = |(i, w): (usize, crate::report::WorkerStatus)| LiveWorker {

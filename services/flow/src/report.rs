@@ -2,12 +2,13 @@
 
 use std::fmt;
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
-use crate::actor::Quarantined;
+use crate::actor::{ActorFailure, FailureKind, Quarantined};
 use crate::control::Phase;
 use crate::mailbox::MailboxStats;
 use crate::meter::WorkerState;
+use crate::refusal::SystemRefusal;
 use crate::timeline::TimelineRecord;
 
 /// How an actor ended. Of several workers, the worst counts.
@@ -24,10 +25,25 @@ pub enum Exit {
     DownstreamClosed,
     /// It gave up, or its restarts are used up.
     Failed(String),
-    /// The disk or the system refused it a file.
-    Storage(String),
+    /// The disk or the system refused it something.
+    Storage(StorageFailure),
     /// It was still running when the deadline for stopping had passed.
     Late,
+}
+
+/// How the disk or the system ended an actor. It is written as its error alone.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct StorageFailure {
+    /// The error's words.
+    pub error: String,
+    /// What was refused.
+    pub refusal: SystemRefusal,
+}
+
+impl Serialize for StorageFailure {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.error.serialize(serializer)
+    }
 }
 
 /// One worker at one moment.
@@ -111,17 +127,24 @@ impl Report {
     /// The actors that failed, with their errors.
     pub fn failures(&self) -> impl Iterator<Item = (&str, &str)> {
         self.actors.iter().filter_map(|a| match &a.exit {
-            Exit::Failed(error) | Exit::Storage(error) => Some((a.name.as_str(), error.as_str())),
+            Exit::Failed(error) | Exit::Storage(StorageFailure { error, .. }) => {
+                Some((a.name.as_str(), error.as_str()))
+            }
             _ => None,
         })
     }
 
-    /// The first of the [`Report::failures`] that the disk or the system is at fault for.
-    pub fn storage_failure(&self) -> Option<(&str, &str)> {
-        self.actors.iter().find_map(|a| match &a.exit {
-            Exit::Storage(error) => Some((a.name.as_str(), error.as_str())),
+    /// What ended the system, with the actor's name: the first of the [`Report::failures`] that the disk or the system is
+    /// at fault for, or else the first.
+    pub fn failure(&self) -> Option<(&str, ActorFailure)> {
+        let refused = self.actors.iter().find_map(|a| match &a.exit {
+            Exit::Storage(StorageFailure { error, refusal }) => {
+                let failure = ActorFailure { kind: FailureKind::Storage(*refusal), message: error.clone() };
+                Some((a.name.as_str(), failure))
+            }
             _ => None,
-        })
+        });
+        refused.or_else(|| self.failures().next().map(|(actor, error)| (actor, ActorFailure::fatal(error))))
     }
 
     /// The actors that did not end in time.
@@ -152,7 +175,9 @@ impl fmt::Display for Report {
                 Exit::Finished => "finished".into(),
                 Exit::Stopped => "stopped".into(),
                 Exit::DownstreamClosed => "its consumer has gone".into(),
-                Exit::Failed(error) | Exit::Storage(error) => format!("failed: {error}"),
+                Exit::Failed(error) | Exit::Storage(StorageFailure { error, .. }) => {
+                    format!("failed: {error}")
+                }
                 Exit::Late => "still running".into(),
             };
             writeln!(

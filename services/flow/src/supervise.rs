@@ -14,7 +14,7 @@ use crate::mailbox::{AnyMailbox, Receiver, RecvError};
 use crate::message::Message;
 use crate::meter::{Pulse, WorkerState};
 use crate::mutex::lock;
-use crate::report::{ActorReport, Exit, WorkerStatus};
+use crate::report::{ActorReport, Exit, StorageFailure, WorkerStatus};
 
 /// How often an actor may be restarted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -168,8 +168,7 @@ impl ActorCell {
     /// Spends a restart and waits; an exit when there is none left, or the failure allows none.
     pub fn restart(&self, context: &Context, failure: &ActorFailure) -> Option<Exit> {
         match failure.kind {
-            FailureKind::Fatal => return Some(Exit::Failed(failure.message.clone())),
-            FailureKind::Storage => return Some(Exit::Storage(failure.message.clone())),
+            FailureKind::Fatal | FailureKind::Storage(_) => return Some(exit_of(failure)),
             // A stop closes the mailboxes: who was held back there has been stopped, too.
             FailureKind::Downstream if !context.stopping() => return Some(Exit::DownstreamClosed),
             FailureKind::Downstream | FailureKind::Stopped => return Some(Exit::Stopped),
@@ -211,6 +210,15 @@ impl ActorCell {
     fn pause(&self, context: &Context, delay: Duration) -> Option<Exit> {
         context.pulse.enter(WorkerState::BackOff, "");
         if context.sleep(delay) { None } else { Some(Exit::Stopped) }
+    }
+}
+
+/// How an actor ends by a failure.
+fn exit_of(failure: &ActorFailure) -> Exit {
+    let error = failure.message.clone();
+    match failure.refusal() {
+        Some(refusal) => Exit::Storage(StorageFailure { error, refusal }),
+        None => Exit::Failed(error),
     }
 }
 
@@ -276,8 +284,7 @@ pub(crate) fn work<A: Actor>(
                     Ok(()) => exit,
                     Err((failure, _)) => match failure.kind {
                         FailureKind::Stopped | FailureKind::Downstream => exit,
-                        FailureKind::Storage => Exit::Storage(failure.message),
-                        _ => Exit::Failed(failure.message),
+                        _ => exit_of(&failure),
                     },
                 })
             }
@@ -386,7 +393,7 @@ fn after_failure<M>(
     let over = match failure.kind {
         FailureKind::Downstream if !context.stopping() => Some(Exit::DownstreamClosed),
         FailureKind::Downstream | FailureKind::Stopped => Some(Exit::Stopped),
-        FailureKind::Retry | FailureKind::Restart | FailureKind::Storage if context.stopping() => {
+        FailureKind::Retry | FailureKind::Restart | FailureKind::Storage(_) if context.stopping() => {
             Some(Exit::Stopped)
         }
         _ => None,
@@ -405,7 +412,7 @@ fn after_failure<M>(
             }
         }
         // What the disk refused is nobody's fault: there is nothing to give up.
-        _ if failure.is_storage() => return Some(Life::Over(Exit::Storage(failure.message.clone()))),
+        _ if failure.is_storage() => return Some(Life::Over(exit_of(failure))),
         message => {
             let quarantined = Quarantined { label, error: failure.message.clone(), attempts: attempt };
             context.events.tell(Event::GivenUp {
@@ -416,7 +423,7 @@ fn after_failure<M>(
             });
             lock(&cell.quarantined).push(quarantined.clone());
             if failure.kind == FailureKind::Fatal {
-                return Some(Life::Over(Exit::Failed(failure.message.clone())));
+                return Some(Life::Over(exit_of(failure)));
             }
             *held = Some(HeldMessage::GivenUp { message, quarantined });
             if failure.kind != FailureKind::Reject {

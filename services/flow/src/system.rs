@@ -54,7 +54,7 @@ use crate::events::Event;
 use crate::mailbox::Receiver;
 use crate::meter::{self, Pulse, WorkerState};
 use crate::mutex::lock;
-use crate::report::{ActorReport, Exit, Report};
+use crate::report::{ActorReport, Exit, Report, StorageFailure};
 use crate::supervise::{ActorCell, ActorOptions, panic_words, work};
 use crate::timeline::Timeline;
 
@@ -263,7 +263,7 @@ fn run_worker(cell: &Arc<ActorCell>, context: Context, mut body: Body) {
     meter::adopt(None);
     context.pulse.note_cpu();
     context.pulse.enter(WorkerState::Ended, "");
-    if let Exit::Failed(error) | Exit::Storage(error) = &exit {
+    if let Exit::Failed(error) | Exit::Storage(StorageFailure { error, .. }) = &exit {
         // The event is sent below; this line is for the log.
         tracing::warn!("{} failed: {error}", cell.name);
         context.events.tell(Event::ActorFailed { actor: cell.name.to_string(), error: error.clone() });

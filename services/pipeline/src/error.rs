@@ -2,7 +2,9 @@
 
 use crate::SettingsError;
 use segwild_features::FeatureError;
-use segwild_flow::{ActorFailure, CacheError, CodecError, FileError, LedgerError, ProgramError, SpawnError};
+use segwild_flow::{
+    ActorFailure, CacheError, CodecError, FileError, LedgerError, ProgramError, SpawnError, SystemRefusal,
+};
 use segwild_gpu::GpuError;
 use segwild_poses::PosesError;
 use segwild_raster::RasterError;
@@ -60,13 +62,15 @@ pub enum RunError {
         /// Why.
         reason: String,
     },
-    /// The disk or the system failed during a stage; what was computed before is kept.
+    /// The disk, the system or a service elsewhere failed during a stage; what was computed before is kept.
     #[error("stage `{stage}` stopped: {reason}")]
     Storage {
         /// The stage.
         stage: &'static str,
-        /// What could not be read or written, and why.
+        /// What could not be done, and why.
         reason: String,
+        /// What refused it.
+        refusal: SystemRefusal,
     },
     /// The prompts make no sense or select nothing.
     #[error(transparent)]
@@ -130,9 +134,9 @@ impl RunError {
     /// The error of a stage that failed, by its own fault or the disk's.
     pub(crate) fn of_stage(stage: &'static str, failure: &ActorFailure) -> RunError {
         let reason = failure.to_string();
-        match failure.is_storage() {
-            true => RunError::Storage { stage, reason },
-            false => RunError::Stage { stage, reason },
+        match failure.refusal() {
+            Some(refusal) => RunError::Storage { stage, reason, refusal },
+            None => RunError::Stage { stage, reason },
         }
     }
 }

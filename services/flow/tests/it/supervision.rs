@@ -167,9 +167,23 @@ fn a_disk_that_refuses_ends_the_actor_and_gives_no_message_up() {
     assert_eq!(log, ["start 0", "view 0"], "nothing is given up, nothing is stopped in order");
     let actor = report.actor("probe").unwrap();
     assert_eq!((actor.messages, actor.retries, actor.quarantined.len()), (1, 2, 0));
-    assert!(matches!(&actor.exit, Exit::Storage(words) if words.contains("areas.d")), "{:?}", actor.exit);
-    assert_eq!(report.storage_failure().unwrap().0, "probe");
+    assert!(matches!(&actor.exit, Exit::Storage(of) if of.error.contains("areas.d")), "{:?}", actor.exit);
+    let (name, failure) = report.failure().unwrap();
+    assert_eq!((name, failure.refusal()), ("probe", Some(SystemRefusal::Disk)));
     assert!(!events.iter().any(|event| matches!(event, Event::ViewFailed { .. })));
+}
+
+#[test]
+fn a_service_that_does_not_answer_is_named_in_the_report_and_the_words_are_written_alone() {
+    let setup = probe(quick(), SystemOptions::default(), |_, _, _| {
+        Err(std::io::Error::from(std::io::ErrorKind::NotConnected).into())
+    });
+    send_all(&setup, 0..1);
+    let (report, _, _) = finish(setup);
+    let (name, failure) = report.failure().unwrap();
+    assert_eq!((name, failure.refusal()), ("probe", Some(SystemRefusal::Unanswered)));
+    let written = serde_json::to_value(&report.actor("probe").unwrap().exit).unwrap();
+    assert_eq!(written, serde_json::json!({ "exit": "storage", "error": failure.to_string() }));
 }
 
 #[test]

@@ -165,11 +165,8 @@ fn end_of_actors(
     outcome: Result<(), RunError>,
 ) -> Result<(), RunError> {
     // An actor that gave up has stopped the others: that is not a stop by the user.
-    let failed =
-        |(actor, error): (&str, &str), kind: fn(&str) -> ActorFailure| (stage_of_failure(actor), kind(error));
-    let gave_up = (run.skies.lost().map(|lost| (Stage::Sky, lost)))
-        .or_else(|| Some(failed(report.storage_failure()?, |error| ActorFailure::storage(error))))
-        .or_else(|| Some(failed(report.failures().next()?, |error| ActorFailure::fatal(error))));
+    let failed = |(actor, failure): (&str, ActorFailure)| (stage_of_failure(actor), failure);
+    let gave_up = run.skies.lost().map(|lost| (Stage::Sky, lost)).or_else(|| report.failure().map(failed));
     match (outcome, gave_up) {
         (Ok(()) | Err(RunError::Interrupted), Some((stage, failure))) => {
             let (name, reason) = (stage.name(), failure.to_string());

@@ -6,7 +6,7 @@ use super::authorship::{
 use super::known::KnownTransients;
 use super::odd::{crowded, odd, share_of};
 use crate::{RunError, RunFolder};
-use segwild_flow::{ActorFailure, FileError, Key};
+use segwild_flow::{ActorFailure, Key};
 use segwild_raster::Rasterizer;
 use segwild_scene::{Mask, Scene};
 use segwild_trainer::{Model, TrainPhoto};
@@ -94,8 +94,8 @@ impl TransientMaskWriter<'_> {
                 key += " as taken";
             }
             let written = before.of_photo(&files, view).cloned().unwrap_or_default();
-            let failed = |e: FileError| ActorFailure::storage(e.to_string());
-            let image = authorship::inspect(&files.find(&own, view), Some(&written)).map_err(failed)?;
+            let image = authorship::inspect(&files.find(&own, view), Some(&written))
+                .map_err(ActorFailure::storage)?;
             let there = match image {
                 MaskImage::OfPerson(_) => {
                     after.insert(name.to_owned(), written);
@@ -130,11 +130,10 @@ impl TransientMaskWriter<'_> {
             }
         }
         notes.extend(crowded(&shares));
-        let failed = |e: RunError| ActorFailure::storage(e.to_string());
         // The list comes first: if the run is killed in between, an image of this program is not taken for a person's.
-        self.folder.write_json(MADE, &after).map_err(failed)?;
+        self.folder.write_json(MADE, &after).map_err(ActorFailure::storage)?;
         for (file, mask) in masks {
-            authorship::write(file, &mask).map_err(failed)?;
+            authorship::write(file, &mask).map_err(ActorFailure::storage)?;
         }
         Ok(notes)
     }

@@ -3,9 +3,6 @@
 use super::address::{AddressError, ServiceAddress};
 use std::path::PathBuf;
 
-/// The words for services that do not answer any more.
-const GONE: &str = "no vision service has answered";
-
 /// Why services do not serve.
 #[derive(Debug, thiserror::Error)]
 pub enum ServiceError {
@@ -25,7 +22,7 @@ pub enum ServiceError {
     #[error("no connection can be had: {0}")]
     Start(std::io::Error),
     /// None of them answers. The same command continues when one does.
-    #[error("{GONE} for {seconds} s: {reasons}")]
+    #[error("no vision service has answered for {seconds} s: {reasons}")]
     Gone {
         /// How long they were waited for.
         seconds: u64,
@@ -59,13 +56,6 @@ pub enum ServiceError {
         /// What is wrong.
         reason: String,
     },
-}
-
-impl ServiceError {
-    /// Whether an error's words are those of services that do not answer any more.
-    pub fn is_gone(words: &str) -> bool {
-        words.contains(GONE)
-    }
 }
 
 /// Why a file holds no token.
