@@ -183,7 +183,8 @@ pub enum EngineError {
         /// Its address, and the farm there.
         server: String,
         /// What is wrong with it.
-        reason: String,
+        #[source]
+        reason: Box<dyn std::error::Error + Send + Sync>,
     },
     /// The store cannot be read or written.
     #[error("{}: {reason}", path.display())]

@@ -151,7 +151,7 @@ impl FarmBatch<'_> {
                 Ok(read) => read,
                 Err(EngineError::Server { reason, .. }) if self.stop.level() == StopLevel::Run => {
                     if !std::mem::replace(&mut silent, true) {
-                        tell(&BatchEvent::EngineSilent { reason });
+                        tell(&BatchEvent::EngineSilent { reason: reason.to_string() });
                     }
                     self.stop.wait(WATCH_EVERY);
                     continue;

@@ -114,7 +114,7 @@ impl ArtefactStore for JetStreamArtefacts {
                     }
                 }
                 Err(error) => {
-                    let _ = send.blocking_send(Err(error.to_string()));
+                    let _ = send.blocking_send(Err(BrokenOff));
                     refused = Some(error);
                     break;
                 }
@@ -168,9 +168,14 @@ fn checked_piece(file: &mut Outgoing) -> Result<Vec<u8>, ArtefactError> {
     Ok(piece)
 }
 
-/// Pieces from another thread, as a reader. A text instead of a piece is an error: nothing is stored then.
+/// A file cannot be read to its end. Who reads it reports why; to the client it is the sign to store nothing.
+#[derive(Debug, thiserror::Error)]
+#[error("the file cannot be read to its end")]
+struct BrokenOff;
+
+/// Pieces from another thread, as a reader.
 struct Pieces {
-    pieces: mpsc::Receiver<Result<Vec<u8>, String>>,
+    pieces: mpsc::Receiver<Result<Vec<u8>, BrokenOff>>,
     current: Vec<u8>,
     read: usize,
 }

@@ -130,7 +130,7 @@ impl Crew<'_> {
         match answer {
             Err(EngineError::Server { reason, .. }) => {
                 if !std::mem::replace(&mut self.silent, true) {
-                    (self.terms.tell)(&BatchEvent::EngineSilent { reason });
+                    (self.terms.tell)(&BatchEvent::EngineSilent { reason: reason.to_string() });
                 }
                 Ok(None)
             }

@@ -15,6 +15,7 @@
 
 mod address;
 mod clock;
+mod error;
 mod record;
 mod server;
 
@@ -31,6 +32,7 @@ use serde::{Deserialize, Serialize};
 
 pub use self::address::{FarmAccess, FarmAddress, FarmAddressError};
 use self::clock::ServerClock;
+use self::error::FarmServerError;
 pub use self::record::FarmKey;
 use self::record::{LogRecord, LogRecordError};
 use self::server::{Appended, LogServer, REQUEST_TIMEOUT, RequestError, persist};
@@ -115,13 +117,13 @@ impl NatsEngine {
         writer: &str,
         patience: Duration,
     ) -> Result<NatsEngine, EngineError> {
-        let fail = |reason: String| EngineError::Server { server: address.to_string(), reason };
+        let fail = |reason| failure_of(address, reason);
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .thread_name("farm client")
             .enable_all()
             .build()
-            .map_err(|e| fail(e.to_string()))?;
+            .map_err(|e| fail(FarmServerError::client(e)))?;
         let (to, how) = (address.clone(), access.clone());
         let server = wait(&runtime, async move { open(&to, &how, patience).await }).map_err(fail)?;
         let engine = NatsEngine {
@@ -175,15 +177,15 @@ impl NatsEngine {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn failure(&self, reason: String) -> EngineError {
-        EngineError::Server { server: self.address.to_string(), reason }
+    fn failure(&self, reason: FarmServerError) -> EngineError {
+        failure_of(&self.address, reason)
     }
 
     fn ask<T: Send + 'static>(
         &self,
-        request: impl Future<Output = Result<T, String>> + Send + 'static,
+        request: impl Future<Output = Result<T, FarmServerError>> + Send + 'static,
     ) -> Result<T, EngineError> {
-        let Some(runtime) = &self.runtime else { return Err(self.failure("it is closed".into())) };
+        let Some(runtime) = &self.runtime else { return Err(self.failure(FarmServerError::Closed)) };
         wait(runtime, request).map_err(|reason| self.failure(reason))
     }
 
@@ -202,8 +204,8 @@ impl NatsEngine {
                         known.apply(&read.transitions, record.time, next);
                         true
                     }
-                    Err(LogRecordError::Newer) => {
-                        return Err(self.failure(format!("record {next}: {}", LogRecordError::Newer)));
+                    Err(reason @ LogRecordError::Newer) => {
+                        return Err(self.failure(FarmServerError::Record { record: next, reason }));
                     }
                     Ok(_) | Err(LogRecordError::Void) => {
                         tracing::warn!(record = next, farm = %self.address, "a record of the farm's log is void");
@@ -223,8 +225,7 @@ impl NatsEngine {
             if extent.last > known.tail && extent.first <= known.tail + 1 {
                 let missing = known.tail + 1;
                 if self.ask(self.server.clone().record(missing))?.is_none() {
-                    let reason = format!("record {missing} of the log is missing: somebody removed it");
-                    return Err(self.failure(reason));
+                    return Err(self.failure(FarmServerError::NoRecord(missing)));
                 }
                 continue;
             }
@@ -263,18 +264,13 @@ impl NatsEngine {
             if now.first > extent.first {
                 return self.start_over(known);
             }
-            let reason =
-                format!("the log starts at record {covers}, and the snapshot of what was before is missing");
-            return Err(self.failure(reason));
+            return Err(self.failure(FarmServerError::NoSnapshot(covers)));
         };
-        let snapshot: TableSnapshot = serde_json::from_slice(&bytes).map_err(|error| {
-            self.failure(format!("the snapshot at record {covers} cannot be read: {error}"))
-        })?;
+        let snapshot: TableSnapshot = serde_json::from_slice(&bytes)
+            .map_err(|source| self.failure(FarmServerError::Snapshot { covers, source }))?;
         if snapshot.format != SNAPSHOT_FORMAT || snapshot.covers != covers {
-            let format = snapshot.format;
-            return Err(self.failure(format!(
-                "the snapshot at record {covers} has format {format}, this program knows format {SNAPSHOT_FORMAT}"
-            )));
+            let (found, known) = (snapshot.format, SNAPSHOT_FORMAT);
+            return Err(self.failure(FarmServerError::SnapshotFormat { covers, found, known }));
         }
         (known.table, known.changes) = (snapshot.table.sorted(), snapshot.changes);
         (known.tail, known.tail_id) = (covers, snapshot.id);
@@ -295,7 +291,7 @@ impl NatsEngine {
             match self.read_on(known, Some(&id))? {
                 ReadOn::Met { stored, applied } => {
                     // Of a record whose answer was lost it is not known when it arrived.
-                    if appended == Appended::Yes
+                    if matches!(appended, Appended::Yes)
                         && let Some(jump) = known.clock.observe(stored, sent, answered)
                     {
                         known.unsaid_jump = Some((jump, known.tail));
@@ -306,7 +302,7 @@ impl NatsEngine {
                 // It is not there, and may still come: it is sent again under its name, and stored once.
                 ReadOn::End if known.tail == before && known.tail_id == record.after => match appended {
                     Appended::Unknown(reason) if began.elapsed() > self.server.patience => {
-                        return Err(self.failure(format!("a record could not be appended: {reason}")));
+                        return Err(self.failure(FarmServerError::NotAppended(reason)));
                     }
                     Appended::Unknown(_) => {}
                     Appended::Yes | Appended::No => return Ok(false),
@@ -319,7 +315,7 @@ impl NatsEngine {
     /// A name that no other record has.
     fn record_name(&self) -> Result<String, EngineError> {
         let mut bytes = [0; 16];
-        getrandom::fill(&mut bytes).map_err(|error| self.failure(format!("no random number: {error}")))?;
+        getrandom::fill(&mut bytes).map_err(|error| self.failure(FarmServerError::NoRandom(error)))?;
         Ok(format!("{:032x}", u128::from_le_bytes(bytes)))
     }
 
@@ -338,7 +334,7 @@ impl NatsEngine {
             changes: known.changes.clone(),
         };
         let compacted = serde_json::to_vec(&snapshot)
-            .map_err(|e| self.failure(e.to_string()))
+            .map_err(|e| self.failure(FarmServerError::client(e)))
             .and_then(|bytes| self.ask(self.server.clone().compact(sequence, bytes)));
         if let Err(error) = compacted {
             tracing::warn!(%error, "the farm's log could not be compacted");
@@ -461,18 +457,27 @@ pub fn transitions(record: &[u8], farm: &str, key: Option<&FarmKey>) -> Option<V
     Some(LogRecord::decode(record, farm, key).1.ok()?.transitions)
 }
 
+/// The error of an engine whose server at this address does not serve.
+fn failure_of(address: &FarmAddress, reason: FarmServerError) -> EngineError {
+    EngineError::Server { server: address.to_string(), reason: Box::new(reason) }
+}
+
 /// Waits for a future of the runtime, from a thread that is none of its own.
 fn wait<T: Send + 'static>(
     runtime: &tokio::runtime::Runtime,
-    future: impl Future<Output = Result<T, String>> + Send + 'static,
-) -> Result<T, String> {
+    future: impl Future<Output = Result<T, FarmServerError>> + Send + 'static,
+) -> Result<T, FarmServerError> {
     let (send, receive) = mpsc::channel();
     runtime.spawn(async move { send.send(future.await) });
-    receive.recv().unwrap_or_else(|_| Err("the client has ended".into()))
+    receive.recv().unwrap_or_else(|_| Err(FarmServerError::Ended))
 }
 
 /// Connects, and makes the farm's log where there is none.
-async fn open(address: &FarmAddress, access: &FarmAccess, patience: Duration) -> Result<LogServer, String> {
+async fn open(
+    address: &FarmAddress,
+    access: &FarmAccess,
+    patience: Duration,
+) -> Result<LogServer, FarmServerError> {
     let mut options = ConnectOptions::new()
         .name("segwild")
         .require_tls(address.tls())
@@ -480,7 +485,7 @@ async fn open(address: &FarmAddress, access: &FarmAccess, patience: Duration) ->
         .request_timeout(Some(REQUEST_TIMEOUT))
         .max_reconnects(None);
     if let Some(file) = &access.credentials {
-        let wrong = |error| format!("cannot read the credentials {}: {error}", file.display());
+        let wrong = |source| FarmServerError::Credentials { file: file.clone(), source };
         options = options.credentials_file(file).await.map_err(wrong)?;
     }
     if let Some(file) = &access.certificates {
@@ -489,9 +494,9 @@ async fn open(address: &FarmAddress, access: &FarmAccess, patience: Duration) ->
     let connect = || async {
         options.clone().connect(address.servers()).await.map_err(|error| match error.kind() {
             ConnectErrorKind::Authentication | ConnectErrorKind::AuthorizationViolation => {
-                RequestError::Final(format!("it refuses who connects: {error}"))
+                RequestError::Final(FarmServerError::Refused(error.into()))
             }
-            _ => RequestError::Passing(error.to_string()),
+            _ => RequestError::passing(error),
         })
     };
     let client = persist(patience, connect).await?;
@@ -512,14 +517,14 @@ async fn open(address: &FarmAddress, access: &FarmAccess, patience: Duration) ->
         let made = context.get_or_create_stream(config.clone()).await;
         made.map_err(|error| match error.kind() {
             CreateStreamErrorKind::JetStreamUnavailable => {
-                RequestError::Passing("it runs without JetStream; start it with -js".into())
+                RequestError::Passing(FarmServerError::NoJetStream)
             }
-            _ => RequestError::Passing(error.to_string()),
+            _ => RequestError::passing(error),
         })
     };
     let stream = persist(patience, make).await?;
     if !stream.cached_info().config.subjects.contains(&subject) {
-        return Err(format!("its stream {stream_name} is no log of a farm: it does not hold {subject}"));
+        return Err(FarmServerError::NoLog { stream: stream_name, subject });
     }
     Ok(LogServer { context, stream, subject, bucket: stream_name, patience })
 }

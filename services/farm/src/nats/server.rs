@@ -8,6 +8,8 @@ use async_nats::jetstream::{self, object_store};
 use async_nats::{HeaderMap, header};
 use tokio::io::AsyncReadExt;
 
+use super::error::{ClientError, FarmServerError};
+
 /// A request that is not answered for so long is made again.
 pub(super) const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
 /// Pause before a request is repeated: at first, and at most.
@@ -19,9 +21,16 @@ const MOST_SNAPSHOT: u64 = 256 << 20;
 #[derive(Debug)]
 pub(super) enum RequestError {
     /// It may be answered later.
-    Passing(String),
+    Passing(FarmServerError),
     /// It will not.
-    Final(String),
+    Final(FarmServerError),
+}
+
+impl RequestError {
+    /// What the client reports, and may not report again.
+    pub fn passing(error: impl std::error::Error + Send + Sync + 'static) -> RequestError {
+        RequestError::Passing(FarmServerError::client(error))
+    }
 }
 
 /// A stored record.
@@ -33,14 +42,14 @@ pub(super) struct StoredRecord {
 }
 
 /// What became of an append.
-#[derive(Debug, PartialEq)]
+#[derive(Debug)]
 pub(super) enum Appended {
     /// It is in the log.
     Yes,
     /// Somebody else appended before.
     No,
     /// No answer came: it may be in the log, or come there yet.
-    Unknown(String),
+    Unknown(ClientError),
 }
 
 /// The first and the last record that are there.
@@ -61,7 +70,7 @@ pub(super) struct LogServer {
 }
 
 /// Repeats a request until it is answered, or the patience is over.
-pub(super) async fn persist<T, F>(patience: Duration, request: impl Fn() -> F) -> Result<T, String>
+pub(super) async fn persist<T, F>(patience: Duration, request: impl Fn() -> F) -> Result<T, FarmServerError>
 where
     F: Future<Output = Result<T, RequestError>>,
 {
@@ -74,7 +83,8 @@ where
             Err(RequestError::Passing(reason)) => reason,
         };
         if began.elapsed() + pause > patience {
-            return Err(format!("no answer for {:.0} s: {passed}", began.elapsed().as_secs_f64()));
+            let seconds = began.elapsed().as_secs_f64();
+            return Err(FarmServerError::Silent { seconds, last: Box::new(passed) });
         }
         tokio::time::sleep(pause).await;
         pause = (2 * pause).min(PAUSE[1]);
@@ -83,7 +93,7 @@ where
 
 impl LogServer {
     /// A record; `None` where there is none.
-    pub async fn record(self, sequence: u64) -> Result<Option<StoredRecord>, String> {
+    pub async fn record(self, sequence: u64) -> Result<Option<StoredRecord>, FarmServerError> {
         persist(self.patience, || async {
             match self.stream.get_raw_message(sequence).await {
                 Ok(message) => Ok(Some(StoredRecord {
@@ -92,7 +102,7 @@ impl LogServer {
                 })),
                 Err(error) => match error.kind() {
                     RawMessageErrorKind::NoMessageFound => Ok(None),
-                    _ => Err(RequestError::Passing(error.to_string())),
+                    _ => Err(RequestError::passing(error)),
                 },
             }
         })
@@ -100,9 +110,9 @@ impl LogServer {
     }
 
     /// What of the log is there.
-    pub async fn extent(self) -> Result<LogExtent, String> {
+    pub async fn extent(self) -> Result<LogExtent, FarmServerError> {
         persist(self.patience, || async {
-            let info = self.stream.get_info().await.map_err(|e| RequestError::Passing(e.to_string()))?;
+            let info = self.stream.get_info().await.map_err(RequestError::passing)?;
             let state = info.state;
             Ok(LogExtent { first: state.first_sequence, last: state.last_sequence, count: state.messages })
         })
@@ -110,7 +120,7 @@ impl LogServer {
     }
 
     /// Appends a record if the last one is still number `last`.
-    pub async fn append(self, id: String, bytes: Vec<u8>, last: u64) -> Result<Appended, String> {
+    pub async fn append(self, id: String, bytes: Vec<u8>, last: u64) -> Result<Appended, FarmServerError> {
         let mut headers = HeaderMap::new();
         headers.insert(header::NATS_MESSAGE_ID, id.as_str());
         headers.insert(header::NATS_EXPECTED_LAST_SEQUENCE, last.to_string().as_str());
@@ -123,23 +133,20 @@ impl LogServer {
             Ok(_) => Ok(Appended::Yes),
             Err(error) => match error.kind() {
                 PublishErrorKind::WrongLastSequence => Ok(Appended::No),
-                PublishErrorKind::MaxPayloadExceeded => {
-                    Err(format!("{error}; a job is too large for the server's `max_payload`"))
-                }
-                _ => Ok(Appended::Unknown(error.to_string())),
+                PublishErrorKind::MaxPayloadExceeded => Err(FarmServerError::TooLarge(error.into())),
+                _ => Ok(Appended::Unknown(error.into())),
             },
         }
     }
 
     /// A snapshot; `None` where there is none that is whole.
-    pub async fn snapshot(self, covers: u64) -> Result<Option<Vec<u8>>, String> {
+    pub async fn snapshot(self, covers: u64) -> Result<Option<Vec<u8>>, FarmServerError> {
         persist(self.patience, || async {
-            let passing = |reason: String| RequestError::Passing(reason);
             let Ok(store) = self.context.get_object_store(&self.bucket).await else { return Ok(None) };
             let object = match store.get(name_of(covers)).await {
                 Ok(object) => object,
                 Err(error) if error.kind() == object_store::GetErrorKind::NotFound => return Ok(None),
-                Err(error) => return Err(passing(error.to_string())),
+                Err(error) => return Err(RequestError::passing(error)),
             };
             let mut bytes = Vec::new();
             let mut object = object.take(MOST_SNAPSHOT);
@@ -147,15 +154,14 @@ impl LogServer {
                 Ok(Ok(_)) => Ok(Some(bytes)),
                 // Its digest is wrong, or parts are missing.
                 Ok(Err(_)) => Ok(None),
-                Err(_) => Err(passing("a snapshot does not arrive".into())),
+                Err(_) => Err(RequestError::Passing(FarmServerError::LateSnapshot)),
             }
         })
         .await
     }
 
     /// Stores a snapshot, reads it again, and lets the log forget what it covers but for the last record.
-    pub async fn compact(self, covers: u64, bytes: Vec<u8>) -> Result<(), String> {
-        let words = |error: &dyn std::fmt::Display| error.to_string();
+    pub async fn compact(self, covers: u64, bytes: Vec<u8>) -> Result<(), FarmServerError> {
         let before = self.clone().extent().await?;
         let config = object_store::Config {
             bucket: self.bucket.clone(),
@@ -164,13 +170,14 @@ impl LogServer {
         };
         let store = match self.context.get_object_store(&self.bucket).await {
             Ok(store) => store,
-            Err(_) => self.context.create_object_store(config).await.map_err(|e| words(&e))?,
+            Err(_) => self.context.create_object_store(config).await.map_err(FarmServerError::client)?,
         };
-        store.put(name_of(covers).as_str(), &mut bytes.as_slice()).await.map_err(|e| words(&e))?;
+        let put = store.put(name_of(covers).as_str(), &mut bytes.as_slice()).await;
+        put.map_err(FarmServerError::client)?;
         if self.clone().snapshot(covers).await? != Some(bytes) {
-            return Err("a snapshot is read otherwise than it was written".into());
+            return Err(FarmServerError::OtherSnapshot);
         }
-        self.stream.purge().sequence(covers).await.map_err(|e| words(&e))?;
+        self.stream.purge().sequence(covers).await.map_err(FarmServerError::client)?;
         if before.first < covers {
             // The one that this one follows; it may not be there.
             let _ = store.delete(name_of(before.first)).await;
