@@ -25,6 +25,7 @@ mod builtin;
 mod contours;
 mod geometry;
 pub mod linkage;
+mod model_file;
 mod network_file;
 mod networks;
 mod onnx;
@@ -32,24 +33,28 @@ mod provider;
 mod providers;
 mod registry;
 mod sam;
+mod server;
 mod service;
+mod service_address;
+mod service_error;
 mod settings;
 
 pub use builtin::{
     Builtin, EdgeDetector, PromptInterpretation, PromptQuery, PromptStep, RegionCache, Regions, TraitWeights,
 };
 pub use contours::ContourTree;
+pub use model_file::{ModelFileError, OnnxError, WireError};
 pub use network_file::NetworkFile;
 pub use networks::{EdgeNetwork, SkyNetwork, TransientNetwork};
-pub use onnx::{ModelFileError, OnnxError, Runtime, WireError};
+pub use onnx::Runtime;
 pub use provider::{
     Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, TransientDetector, VisionError, Work,
 };
 pub use providers::{BUILT_IN, Providers};
 pub use registry::{Family, ModelFile, models_in};
 pub use sam::Sam;
-pub use service::{
-    AddressError, RemoteVision, ServiceAddress, ServiceError, ServiceTerms, TokenFileError, VisionServer,
-    VisionServiceOptions, serve_vision,
-};
+pub use server::{VisionServer, VisionServiceOptions, serve_vision};
+pub use service::{RemoteVision, ServiceTerms};
+pub use service_address::{AddressError, ServiceAddress};
+pub use service_error::{ServiceError, TokenFileError};
 pub use settings::{DeviceChoice, EdgeChoice, ModelChoice, SkyChoice, VisionSettings};

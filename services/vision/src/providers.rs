@@ -4,7 +4,9 @@ use crate::geometry::{ColourSky, GeometrySky, JointSky};
 use crate::network_file::NetworkFile;
 use crate::onnx::Runtime;
 use crate::registry::{DEEPLAB, EDGES, SKY};
-use crate::service::{RemoteVision, ServiceAddress, ServiceError, ServiceTerms, TokenFileError};
+use crate::service::{RemoteVision, ServiceTerms};
+use crate::service_address::ServiceAddress;
+use crate::service_error::{ServiceError, TokenFileError};
 use crate::settings::{EdgeChoice, ModelChoice, SkyChoice, VisionSettings};
 use crate::{
     Builtin, EdgeDetector, EdgeNetwork, Embedder, MaskProposer, PromptSegmenter, RegionCache, SkyDetector,

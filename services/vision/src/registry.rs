@@ -4,7 +4,7 @@
 //! is responsible for its origin.
 
 use crate::VisionError;
-use crate::onnx::{ModelFileError, inspect};
+use crate::model_file::{ModelFileError, inspect};
 use std::path::{Path, PathBuf};
 
 /// Where a network comes from.

@@ -1,7 +1,7 @@
 //! Settings of the vision models.
 
 use crate::onnx::MEMORY_MIB;
-use crate::service::ServiceAddress;
+use crate::service_address::ServiceAddress;
 
 segwild_scene::choice! {
     /// Where boundaries come from.

@@ -1,7 +1,8 @@
 //! A loaded network: its inputs and outputs, and running it within a limit of time.
 
-use super::{Runtime, inspect};
+use super::Runtime;
 use crate::VisionError;
+use crate::model_file::inspect;
 use ort::session::{RunOptions, Session, SessionInputValue};
 use ort::value::{Outlet, TensorElementType};
 use std::path::Path;

@@ -1,11 +1,11 @@
 //! The client: vision services as a provider.
 
-use super::address::ServiceAddress;
-use super::error::ServiceError;
 use super::member::{Client, Member, described};
 use super::pool::{CallError, ServicePool, ServiceTerms};
 use super::queue::Priority;
 use super::wire::{self, Arriving, MOST_MESSAGE, MessageError, NamedImage};
+use crate::service_address::ServiceAddress;
+use crate::service_error::ServiceError;
 use crate::network_file::NetworkFile;
 use crate::provider::check_certainty;
 use crate::sam::{bounds, middle};
@@ -359,7 +359,7 @@ impl TransientDetector for RemoteVision {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::service::{ServiceAddress, VisionServiceOptions, serve_vision};
+    use crate::server::{VisionServiceOptions, serve_vision};
     use crate::{Providers, VisionSettings};
     use std::time::Duration;
 

@@ -1,6 +1,6 @@
 //! One service of several: its connection, its slots, and whether it is there.
 
-use super::address::ServiceAddress;
+use crate::service_address::ServiceAddress;
 use segwild_proto::Token;
 use segwild_proto::v1::vision_client::VisionClient;
 use segwild_proto::v1::{self, Capability, PixelFormat};

@@ -1,9 +1,9 @@
 //! Several services as one: calls go where a slot is free, the urgent ones first, and to another service when one fails.
 
-use super::error::ServiceError;
 use super::member::{Client, Described, Member, plain};
 use super::queue::{CallQueue, Priority, Ticket};
 use super::wire::MessageError;
+use crate::service_error::ServiceError;
 use std::error::Error;
 use std::ops::ControlFlow;
 use std::sync::Arc;

@@ -1,6 +1,6 @@
 //! The server: this machine's providers for other machines.
 
-use super::wire::{self, Arriving, MessageError};
+use crate::service::wire::{self, Arriving, MessageError};
 use crate::{Providers, VisionError};
 use futures_util::StreamExt;
 use futures_util::stream::{self, BoxStream};

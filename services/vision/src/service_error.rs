@@ -1,6 +1,6 @@
 //! Why services do not serve.
 
-use super::address::{AddressError, ServiceAddress};
+use crate::service_address::{AddressError, ServiceAddress};
 use std::path::PathBuf;
 
 /// Why services do not serve.
