@@ -15,10 +15,10 @@ use std::path::PathBuf;
 /// The benchmark's arguments.
 pub fn command() -> Command {
     let command = Command::new("clicks")
-        .about("What single clicks find: random clicks anywhere on the objects of scenes with true masks")
+        .about("What single clicks or boxes find, anywhere on the objects of scenes with true masks")
         .after_help(examples(
             "segwild bench clicks photos/trevi photos/garden",
-            "segwild bench clicks photos/trevi --clicks-per-object 8 --sizes 320,640 --alternatives",
+            "segwild bench clicks photos/trevi --clicks-per-object 8 --alternatives --corrections 9",
         ))
         .args(scenes_and_sizes(
             "Scenes with truth/PHOTO.png or truth/OBJECT/PHOTO.png, as for `segwild bench folder`",
@@ -31,7 +31,12 @@ pub fn command() -> Command {
             number("click-seed", "1", "Seed of the clicks and of the trainings")
                 .value_parser(value_parser!(u64)),
         )
-        .arg(flag("alternatives", "Measure the alternatives of each click as well"))
+        .arg(flag("boxes", "Draw a box around the object instead of a click"))
+        .arg(flag("alternatives", "Measure the alternatives of each answer as well"))
+        .arg(
+            number("corrections", "0", "Further clicks, each where the answer is most wrong (NoC)")
+                .value_parser(value_parser!(u64)),
+        )
         .arg(path("out", "Folder for results and page [default: .bench/clicks]"))
         .arg(path("page", "Write the page to this file as well"))
         .arg(json());
@@ -47,7 +52,9 @@ pub fn clicks(matches: &ArgMatches) -> Result<(), Failure> {
         sizes: numbers(matches, "sizes")?,
         clicks: *matches.get_one::<u64>("clicks-per-object").expect("it has a default") as usize,
         seed: *matches.get_one::<u64>("click-seed").expect("it has a default"),
+        boxes: matches.get_flag("boxes"),
         alternatives: matches.get_flag("alternatives"),
+        corrections: *matches.get_one::<u64>("corrections").expect("it has a default") as usize,
         out: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/clicks")),
         command: command_line(),
         settings,

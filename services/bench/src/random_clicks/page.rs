@@ -1,0 +1,210 @@
+//! The page of random clicks.
+
+use super::BOX;
+use super::prompts::{BOX_MARGIN, INSET};
+use crate::page::{PageError, io};
+use segwild_eval::metrics::Spread;
+use segwild_eval::record::{Record, Results};
+use segwild_eval::stamp;
+use segwild_flow::files;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// IoUs from which an answer has found the object: the levels of the measure NoC.
+pub const FOUND: [f64; 2] = [0.85, 0.9];
+/// Names of the numbers of clicks to them.
+pub const CLICKS_TO: [&str; 2] = ["clicks_to_85", "clicks_to_90"];
+
+/// A row of the table: the mean, quartiles and shares of one object's prompts.
+struct ClickRow {
+    mean: f64,
+    quartiles: [f64; 3],
+    found: [f64; 2],
+    best: Option<[f64; 2]>,
+    clicks_to: Option<[f64; 2]>,
+    first_s: f64,
+    select_s: f64,
+}
+
+impl ClickRow {
+    fn of(records: &[&Record]) -> Option<ClickRow> {
+        let all = |name: &str| -> Vec<f64> {
+            records.iter().filter_map(|r| r.numbers.get(name).copied()).collect()
+        };
+        let mut ious = all("iou");
+        ious.sort_by(f64::total_cmp);
+        let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len() as f64;
+        let share =
+            |of: &[f64], least: f64| of.iter().filter(|x| **x >= least).count() as f64 / of.len() as f64;
+        let quantile = |q: f64| {
+            let at = q * (ious.len() - 1) as f64;
+            let (low, high) = (at.floor() as usize, at.ceil() as usize);
+            ious[low] + (ious[high] - ious[low]) * (at - low as f64)
+        };
+        let (best, clicks_to) = (all("best_iou"), CLICKS_TO.map(all));
+        (!ious.is_empty()).then(|| ClickRow {
+            mean: mean(&ious),
+            quartiles: [0.25, 0.5, 0.75].map(quantile),
+            found: FOUND.map(|least| share(&ious, least)),
+            best: (!best.is_empty()).then(|| [mean(&best), share(&best, FOUND[0])]),
+            clicks_to: (!clicks_to[0].is_empty()).then(|| clicks_to.map(|of| mean(&of))),
+            first_s: mean(&all("first_s")),
+            select_s: mean(&all("select_s")),
+        })
+    }
+
+    /// Means over rows: each object counts once.
+    fn mean(rows: &[ClickRow]) -> Option<ClickRow> {
+        let mean =
+            |of: &dyn Fn(&ClickRow) -> f64| Some(Spread::of(&rows.iter().map(of).collect::<Vec<_>>())?.mean);
+        // A column that some rows lack has the mean of the others.
+        let pair = |of: fn(&ClickRow) -> Option<[f64; 2]>| {
+            let pairs: Vec<[f64; 2]> = rows.iter().filter_map(of).collect();
+            let mean = |i: usize| Some(Spread::of(&pairs.iter().map(|p| p[i]).collect::<Vec<_>>())?.mean);
+            Some([mean(0)?, mean(1)?])
+        };
+        Some(ClickRow {
+            mean: mean(&|r| r.mean)?,
+            quartiles: [mean(&|r| r.quartiles[0])?, mean(&|r| r.quartiles[1])?, mean(&|r| r.quartiles[2])?],
+            found: [mean(&|r| r.found[0])?, mean(&|r| r.found[1])?],
+            best: pair(|r| r.best),
+            clicks_to: pair(|r| r.clicks_to),
+            first_s: mean(&|r| r.first_s)?,
+            select_s: mean(&|r| r.select_s)?,
+        })
+    }
+
+    fn cells(&self) -> String {
+        let [low, middle, high] = self.quartiles;
+        let [found, well] = self.found;
+        let best = self.best.map_or("- | -".into(), |[mean, found]| format!("{mean:.3} | {found:.2}"));
+        let clicks = self.clicks_to.map_or("- | -".into(), |[first, second]| format!("{first:.1} | {second:.1}"));
+        format!(
+            "{:.3} | {low:.2} / {middle:.2} / {high:.2} | {found:.2} | {well:.2} | {best} | {clicks} | {:.2} | {:.1}",
+            self.mean, self.first_s, self.select_s
+        )
+    }
+}
+
+/// The page in Markdown.
+pub fn markdown(results: &Results) -> String {
+    let by = stamp::providers([results]);
+    let boxes = results.records.iter().any(|r| r.setting == BOX);
+    let (what, how) = match boxes {
+        true => (
+            "boxes",
+            format!(
+                "A box is drawn around each object on random photos, one at a time, wider than the true mask by at most {:.0} % of the photo's \
+                 diagonal on each side.",
+                100.0 * BOX_MARGIN
+            ),
+        ),
+        false => (
+            "clicks",
+            format!(
+                "Each object is clicked at random pixels of random photos, one click at a time, at least {:.0} % of the photo's diagonal inside \
+                 of its outline.",
+                100.0 * INSET
+            ),
+        ),
+    };
+    let corrected = match results.records.iter().any(|r| r.numbers.contains_key(CLICKS_TO[0])) {
+        false => String::new(),
+        true => format!(
+            " `prompts to` is the measure NoC of interactive segmentation: the next click is where the answer is most wrong, on whichever photo, \
+             until the mean IoU is {} or {}. One that does not get there counts as all that were allowed.",
+            FOUND[0], FOUND[1]
+        ),
+    };
+    let mut text = format!(
+        "# {}\n\nThis page is generated. {}\n\n{how} IoU is the mean over all photos with a true mask, the prompted one too. `best of` is \
+         the best of the answer and the alternatives that it lists.{corrected} Runs train on all photos. Seconds are of the resident session, to \
+         the first answer that it publishes and to the last.\n",
+        stamp::title(&format!("Single {what}"), &by),
+        stamp::stamp(&results.made, &by),
+    );
+    let mut sizes: Vec<f64> = results.records.iter().filter_map(|r| r.at).collect();
+    sizes.sort_by(f64::total_cmp);
+    sizes.dedup();
+    for size in sizes {
+        let of_size: Vec<&Record> = results.records.iter().filter(|r| r.at == Some(size)).collect();
+        let mut names: Vec<(&str, &str)> = Vec::new();
+        for r in &of_size {
+            if !names.contains(&(r.scene.as_str(), r.target.as_str())) {
+                names.push((&r.scene, &r.target));
+            }
+        }
+        let [found, well] = FOUND;
+        let _ = write!(
+            text,
+            "\n## {size} px\n\n| scene | object | {what} | mean IoU | quartiles | share >= {found} | share >= {well} | best of: mean | share >= {found} | prompts to {found} | to {well} | s to the first answer | to the last |\n\
+             |---|---|---:|---:|---|---:|---:|---:|---:|---:|---:|---:|---:|\n"
+        );
+        let mut rows = Vec::new();
+        for (scene, target) in names {
+            let clicks: Vec<&Record> =
+                of_size.iter().copied().filter(|r| r.scene == scene && r.target == target).collect();
+            if let Some(row) = ClickRow::of(&clicks) {
+                let _ = writeln!(text, "| {scene} | {target} | {} | {} |", clicks.len(), row.cells());
+                rows.push(row);
+            }
+        }
+        if let Some(mean) = ClickRow::mean(&rows) {
+            let _ = writeln!(text, "| **mean** | {} objects | | {} |", rows.len(), mean.cells());
+        }
+    }
+    for what in &results.missing {
+        let _ = writeln!(text, "\nNot measured: {what}.");
+    }
+    text
+}
+
+/// Writes the page into the folder, and to `page`, if that is given.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write(out: &Path, page: Option<&Path>, results: &Results) -> Result<PathBuf, PageError> {
+    let file = out.join("clicks.md");
+    for file in std::iter::once(file.as_path()).chain(page) {
+        io(file, files::write_plain(file, markdown(results)).map_err(std::io::Error::other))?;
+    }
+    Ok(file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_gives_each_object_the_same_weight() {
+        let record = |target: &str, prompt: u32, iou: f64| Record {
+            protocol: crate::random_clicks::PROTOCOL.into(),
+            scene: "square".into(),
+            provider: "built-in".into(),
+            at: Some(320.0),
+            target: target.into(),
+            prompt,
+            numbers: [
+                ("iou".to_owned(), iou),
+                ("best_iou".to_owned(), iou.max(0.5)),
+                (CLICKS_TO[0].to_owned(), 2.0),
+                (CLICKS_TO[1].to_owned(), 4.0),
+                ("select_s".to_owned(), 1.0),
+                ("first_s".to_owned(), 0.1),
+            ]
+            .into(),
+            ..Record::default()
+        };
+        let records =
+            vec![record("a", 0, 1.0), record("a", 1, 0.8), record("a", 2, 0.9), record("b", 0, 0.1)];
+        let page = markdown(&Results { records, ..Results::default() });
+        assert!(
+            page.contains(
+                "| square | a | 3 | 0.900 | 0.85 / 0.90 / 0.95 | 0.67 | 0.67 | 0.900 | 0.67 | 2.0 | 4.0 | 0.10 | 1.0 |"
+            ),
+            "{page}"
+        );
+        assert!(page.contains("| **mean** | 2 objects | | 0.500 |"), "{page}");
+        assert!(page.contains("built-in"), "{page}");
+    }
+}
