@@ -11,7 +11,7 @@ mod values;
 
 pub(crate) use points::{Coloured, read_points};
 
-use crate::{SceneError, Splats};
+use crate::{SceneError, Splats, logit};
 use header::ElementTable;
 use segwild_files::write_atomic;
 use std::path::Path;
@@ -196,7 +196,7 @@ pub(crate) fn splat_of_bytes(path: &Path, bytes: &[u8]) -> Result<Splats, SceneE
         splats.sh.extend([24, 25, 26].map(|k| (f32::from(record[k]) / 255.0 - 0.5) / SH0));
         // Half a step in from the ends keeps the logit finite.
         let opacity = f32::from(record[27]).clamp(0.5, 254.5) / 255.0;
-        splats.opacities.push((opacity / (1.0 - opacity)).ln());
+        splats.opacities.push(logit(opacity));
         splats.rotations.push([28, 29, 30, 31].map(|k| (f32::from(record[k]) - 128.0) / 128.0));
     }
     Ok(splats)

@@ -1,6 +1,6 @@
 //! The Gaussians.
 
-use crate::SceneFrame;
+use crate::{SceneFrame, sigmoid};
 use glam::{Mat3, Quat, Vec3};
 use wincode::{SchemaRead, SchemaWrite};
 
@@ -44,7 +44,7 @@ impl Splats {
 
     /// Opacity of a splat, in (0, 1).
     pub fn opacity(&self, i: usize) -> f32 {
-        1.0 / (1.0 + (-self.opacities[i]).exp())
+        sigmoid(self.opacities[i])
     }
 
     /// Standard deviations of a splat.

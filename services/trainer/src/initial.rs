@@ -4,7 +4,7 @@ use glam::{Mat3, Vec3};
 use segwild_scene::Random;
 use segwild_scene::knn;
 use segwild_scene::ply::SH0;
-use segwild_scene::{Camera, DARKEST, NEAR, Point, Pose, Scene, Splats};
+use segwild_scene::{Camera, DARKEST, NEAR, Point, Pose, Scene, Splats, logit};
 
 /// What training starts from.
 pub(crate) struct Initial {
@@ -115,11 +115,6 @@ pub(crate) fn initial_splats(
 const INITIAL_SCALE: f32 = 0.7;
 /// Opacity of a first splat. Twice the usual 0.1: short trainings have little time to fill in.
 const INITIAL_OPACITY: f32 = 0.2;
-
-/// The logarithm of the odds of `p`.
-pub(crate) fn logit(p: f32) -> f32 {
-    (p / (1.0 - p)).ln()
-}
 
 /// Scene units per pixel at a point, for the camera where it is least.
 fn pixel_size<'a>(p: Vec3, eyes: impl Iterator<Item = &'a Eye>) -> Option<f32> {

@@ -9,7 +9,7 @@ use crate::packing::pack_image;
 use crate::{GpuEngine, GpuError};
 use segwild_objective::compare::{LossInputs, LossOutput, PhotoTarget};
 use segwild_raster::{Frame, ProjectOptions};
-use segwild_scene::{Image, Splats};
+use segwild_scene::{Image, Splats, logit};
 use std::sync::Arc;
 
 /// What the kernels left; arrays are per pixel.
@@ -63,7 +63,7 @@ impl<'e> LossPasses<'e> {
         let photo = GpuPhoto::upload(&mut work, target)?;
         let inputs = ComparisonInputs::upload(&mut work, loss_inputs)?;
         let map = map.map(|map| {
-            let odds: Vec<f32> = map.data.iter().map(|sure| (sure / (1.0 - sure)).ln()).collect();
+            let odds: Vec<f32> = map.data.iter().map(|&sure| logit(sure)).collect();
             Ok((work.upload("the visibility map", &odds)?, [map.width, map.height]))
         });
         let map = map.transpose()?;

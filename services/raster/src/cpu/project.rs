@@ -5,7 +5,7 @@
 //! long thin splats, and a row of pixels needs one term in `u` only.
 
 use crate::ProjectOptions;
-use segwild_scene::{Camera, Pose, Splats};
+use segwild_scene::{Camera, Pose, Splats, sigmoid};
 
 /// Pixels with a smaller alpha are skipped.
 pub const ALPHA_MIN: f32 = 1.0 / 255.0;
@@ -129,11 +129,6 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 fn finite(values: &[f32]) -> bool {
     // One bad number makes the sum of the products with zero bad: no branch per number.
     values.iter().map(|v| v * 0.0).sum::<f32>() == 0.0
-}
-
-#[inline(always)]
-pub(crate) fn sigmoid(x: f32) -> f32 {
-    1.0 / (1.0 + (-x).exp())
 }
 
 #[inline(always)]

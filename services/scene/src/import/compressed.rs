@@ -1,7 +1,7 @@
 //! `.compressed.ply` of PlayCanvas and SuperSplat: four 32-bit numbers per splat, in chunks of 256 whose bounds stand before
 //! them (github.com/playcanvas/splat-transform, `decompressPly`).
 
-use super::quantised::{logit, with_largest};
+use super::quantised::{stored_logit, with_largest};
 use crate::ply::SH0;
 use crate::ply::header::{ElementTable, Header};
 use crate::{SceneError, Splats};
@@ -94,7 +94,7 @@ pub(super) fn read(path: &Path, bytes: &[u8], header: &Header) -> Result<Splats,
         let [r, g, b, alpha] = [24, 16, 8, 0].map(|shift| share(colour >> shift, 8));
         let colour = colours.as_ref().map_or([r, g, b], |bounds| bounds.at(chunk, [r, g, b]));
         splats.sh.extend(colour.map(|c| (c - 0.5) / SH0));
-        splats.opacities.push(logit(alpha));
+        splats.opacities.push(stored_logit(alpha));
         if let Some(rest) = &rest {
             let bands = count / 3;
             for k in 0..bands {

@@ -2,7 +2,7 @@
 //! know it show the splats too thin and too opaque; here it becomes part of them.
 
 use crate::ply::header::ElementTable;
-use crate::{SceneError, Splats};
+use crate::{SceneError, Splats, logit};
 use std::path::Path;
 
 /// Widens splats by their 3D filter, if the file has one, and lowers their opacities as much as that makes them larger
@@ -20,7 +20,7 @@ pub(super) fn apply(path: &Path, bytes: &[u8], splats: &mut Splats) -> Result<Op
         let shrink = variances.iter().zip(widened).map(|(v, w)| v / w).product::<f32>().sqrt();
         let opacity = (splats.opacity(i) * shrink).clamp(1e-6, 1.0 - 1e-6);
         splats.log_scales[i] = widened.map(|v| 0.5 * v.ln());
-        splats.opacities[i] = (opacity / (1.0 - opacity)).ln();
+        splats.opacities[i] = logit(opacity);
     }
     Ok(Some("its 3D filter (`filter_3D`) was made part of the splats".to_owned()))
 }

@@ -1,9 +1,10 @@
 //! Numbers that packed formats store in a few bits.
 
+use crate::logit;
+
 /// The logit of an opacity that was stored in a byte: half a step in from the ends, so that it is finite.
-pub(super) fn logit(opacity: f32) -> f32 {
-    let opacity = opacity.clamp(0.5 / 255.0, 254.5 / 255.0);
-    (opacity / (1.0 - opacity)).ln()
+pub(super) fn stored_logit(opacity: f32) -> f32 {
+    logit(opacity.clamp(0.5 / 255.0, 254.5 / 255.0))
 }
 
 /// Four components of length 1, of which the largest is not stored.

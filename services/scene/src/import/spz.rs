@@ -1,7 +1,7 @@
 //! `.spz`, Niantic's packed splats: a header, and one array per property. Versions 1 to 3 are one gzip stream; version 4 packs
 //! each array by zstd (github.com/nianticlabs/spz, `src/cc/load-spz.cc`).
 
-use super::quantised::{logit, with_largest};
+use super::quantised::{stored_logit, with_largest};
 use crate::{SceneError, Splats};
 use flate2::read::GzDecoder;
 use ruzstd::decoding::StreamingDecoder;
@@ -149,7 +149,7 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Splats, SceneError> {
             1 => position_of_halves(&positions[position * i..]),
             _ => fixed_point(&positions[position * i..], head.fraction),
         });
-        splats.opacities.push(logit(f32::from(alphas[i]) / 255.0));
+        splats.opacities.push(stored_logit(f32::from(alphas[i]) / 255.0));
         let colour = |c: usize| (f32::from(colours[3 * i + c]) / 255.0 - 0.5) / COLOUR_SCALE;
         splats.sh.extend([0, 1, 2].map(colour));
         splats.log_scales.push([0, 1, 2].map(|c| f32::from(scales[3 * i + c]) / 16.0 - 10.0));

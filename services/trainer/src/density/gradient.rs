@@ -3,9 +3,9 @@
 
 use super::control::{Density, DensityChange, DensityStats, StepObservation, Surroundings, top};
 use super::reshaping::Reshaping;
-use crate::initial::logit;
 use crate::{TrainError, TrainSettings};
 use glam::Vec3;
+use segwild_scene::logit;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// Absolute screen gradient over which a splat is cloned or split.

@@ -3,12 +3,10 @@
 
 use super::control::{Density, DensityChange, StepObservation, Surroundings};
 use super::reshaping::Reshaping;
-use crate::initial::logit;
 use crate::{TrainError, TrainSettings};
 use glam::Vec3;
 use segwild_raster::SplatGrads;
-use segwild_scene::Random;
-use segwild_scene::Splats;
+use segwild_scene::{Random, Splats, logit, sigmoid};
 use wincode::{SchemaRead, SchemaWrite};
 
 /// A splat of at most this opacity is dead.
@@ -39,7 +37,7 @@ impl Mcmc {
     fn shake(&self, splats: &mut Splats, step: u32, random: &mut Random) {
         let strength = NOISE * 0.001f32.powf(step as f32 / self.steps as f32);
         for i in 0..splats.len() {
-            let transparency = 1.0 / (1.0 + (100.0 * (splats.opacity(i) - DEAD)).exp());
+            let transparency = sigmoid(100.0 * (DEAD - splats.opacity(i)));
             let noise = Vec3::new(random.normal(), random.normal(), random.normal());
             let moved = splats.mean(i) + splats.covariance(i) * noise * transparency * strength;
             if moved.is_finite() {

@@ -1,10 +1,9 @@
 //! Splats while density control acts on them: their shapes, and which splats they come from. Colours, embeddings and optimiser
 //! states follow from that, on the host or on the device.
 
-use crate::initial::logit;
 use glam::Vec3;
 use segwild_objective::Reshaped;
-use segwild_scene::Splats;
+use segwild_scene::{Splats, logit};
 
 /// Shapes of splats, and which splats they come from.
 pub(crate) struct Reshaping {

@@ -3,7 +3,7 @@
 use super::analysis::Analysis;
 use super::cut::GraphCut;
 use super::plane::FloatPlane;
-use segwild_scene::ScoredMask;
+use segwild_scene::{ScoredMask, logit, sigmoid};
 
 /// The energy of the cut.
 pub(crate) struct Energy {
@@ -18,8 +18,7 @@ pub(crate) fn cut(analysis: &Analysis, energy: &Energy, bias: f32) -> Vec<bool> 
     let tree = &analysis.tree;
     let mut graph = GraphCut::new(tree.leaves);
     for (i, (&p, node)) in energy.inside.iter().zip(&tree.nodes).enumerate() {
-        let p = p.clamp(0.005, 0.995);
-        let odds = (p / (1.0 - p)).ln() + bias;
+        let odds = logit(p.clamp(0.005, 0.995)) + bias;
         graph.unary(i, (-odds).max(0.0) * node.area, odds.max(0.0) * node.area);
     }
     for &(a, b, border) in tree.borders.iter() {
@@ -53,12 +52,8 @@ pub(crate) fn snap(analysis: &Analysis, certainty: &[f32]) -> ScoredMask {
         .iter()
         .zip(&colour)
         .map(|(&p, &c)| {
-            let odds = |p: f32| {
-                let p = p.clamp(0.01, 0.99);
-                (p / (1.0 - p)).ln()
-            };
-            let sum = CERTAINTY * odds(p) + COLOUR * odds(c);
-            1.0 / (1.0 + (-sum).exp())
+            let odds = |p: f32| logit(p.clamp(0.01, 0.99));
+            sigmoid(CERTAINTY * odds(p) + COLOUR * odds(c))
         })
         .collect();
     let energy = Energy { inside, smooth: SMOOTH };

@@ -17,7 +17,7 @@ use super::traits::PromptStep;
 use super::tree::Hierarchy;
 use super::weights::TraitWeights;
 use crate::{Prompted, VisionError};
-use segwild_scene::{BoxPrompt, Image, Prompts, ScoredMask};
+use segwild_scene::{BoxPrompt, Image, Prompts, ScoredMask, logit};
 use std::sync::Arc;
 
 /// Cost that no other outweighs.
@@ -391,8 +391,7 @@ fn cuts_in_box(ground: &Ground, meant: &Meant) -> Vec<Vec<bool>> {
                 } else if !meant.open(i) || is(&meant.negative) {
                     graph.unary(i, NEVER, 0.0);
                 } else {
-                    let p = colour[i].clamp(0.02, 0.98);
-                    let odds = 0.15 * ((p / (1.0 - p)).ln() + centrality[i] + shift);
+                    let odds = 0.15 * (logit(colour[i].clamp(0.02, 0.98)) + centrality[i] + shift);
                     graph.unary(i, (-odds).max(0.0) * node.area, odds.max(0.0) * node.area);
                 }
             }

@@ -5,7 +5,7 @@ use super::analysis::{Analysis, PixelFeatures};
 use super::plane::FloatPlane;
 use super::refine::{Energy, cut};
 use super::tree::MergeWeights;
-use segwild_scene::Mask;
+use segwild_scene::{Mask, sigmoid};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
@@ -26,12 +26,8 @@ pub(crate) fn sky(pixels: &PixelFeatures) -> Mask {
         return nothing;
     }
     let reach = bottlenecks(analysis, &seeds, &likeness);
-    let inside: Vec<f32> = (0..tree.leaves)
-        .map(|i| {
-            let odds = 3.0 * (1.0 - reach[i] / 0.25) + likeness[i];
-            1.0 / (1.0 + (-odds).exp())
-        })
-        .collect();
+    let inside: Vec<f32> =
+        (0..tree.leaves).map(|i| sigmoid(3.0 * (1.0 - reach[i] / 0.25) + likeness[i])).collect();
     let labels = cut(analysis, &Energy { inside, smooth: 6.0 }, 0.0);
     tree.mask(&from_top(analysis, &labels, &top))
 }

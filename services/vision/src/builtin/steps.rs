@@ -9,6 +9,7 @@ use super::pool::{Ground, RegionSet};
 use super::refine::iou_of;
 use super::traits::{Around, COUNT, CandidateSource, PromptStep, TraitInputs, traits};
 use super::weights::TraitWeights;
+use segwild_scene::logit;
 use std::collections::HashSet;
 
 /// Cost that no other outweighs.
@@ -295,7 +296,7 @@ pub(crate) fn cuts(
                 } else {
                     let p = colour[i].clamp(0.02, 0.98);
                     let b = belief[i].clamp(0.1, 0.9);
-                    let odds = trust * ((p / (1.0 - p)).ln() + old * (b / (1.0 - b)).ln());
+                    let odds = trust * (logit(p) + old * logit(b));
                     graph.unary(i, (-odds).max(0.0) * node.area, odds.max(0.0) * node.area);
                 }
             }

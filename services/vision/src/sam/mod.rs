@@ -25,7 +25,7 @@ use frame::PhotoFit;
 use logits::{Logits, Upscale, choose, stability};
 use prompt::{Labelled, PromptGroup};
 pub(crate) use refine::{bounds, middle};
-use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
+use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask, sigmoid};
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -297,9 +297,7 @@ impl PromptSegmenter for Sam {
             predicted_iou: score,
             stability: stability(&plane, self.stability_offset),
         };
-        let chance = |(i, logit): (usize, &f32)| {
-            if answer.mask.index(i) { 0.0 } else { 1.0 / (1.0 + (-logit).exp()) }
-        };
+        let chance = |(i, logit): (usize, &f32)| if answer.mask.index(i) { 0.0 } else { sigmoid(*logit) };
         let data = plane.iter().enumerate().map(chance).collect();
         let open = Image { width: image.width, height: image.height, channels: 1, data };
         Ok(Prompted { answer, open })

@@ -5,7 +5,7 @@ use super::decoder::{CORNERS, INSIDE, Query};
 use super::logits::Logits;
 use super::{Encoded, Sam, check};
 use crate::VisionError;
-use segwild_scene::{Image, Mask, ScoredMask};
+use segwild_scene::{Image, Mask, ScoredMask, logit};
 use std::time::Instant;
 
 /// Bound of a certainty's logits, either way: a render is less certain than a network.
@@ -52,8 +52,7 @@ fn logits_of(certainty: &Image, encoded: &Encoded, side: usize) -> Logits {
     let mut data = vec![-SURE; side * side];
     for y in 0..height {
         for x in 0..width {
-            let c = small.at(0, x, y);
-            data[y * side + x] = (c / (1.0 - c)).ln().clamp(-SURE, SURE);
+            data[y * side + x] = logit(small.at(0, x, y)).clamp(-SURE, SURE);
         }
     }
     // Certainties beyond [0, 1] have no logarithm.

@@ -30,7 +30,7 @@ use super::affine::NUMBERS;
 use super::model::{Appearance, AppearanceEmbedding, Directions};
 use appearance::{GswGrads, WHOLE, below_of};
 use segwild_nn::{Map, scatter, take};
-use segwild_scene::{Image, Random};
+use segwild_scene::{Image, Random, sigmoid};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -174,10 +174,6 @@ impl GswAppearance {
 
 /// Weight of the visibility loss beside the colour loss.
 pub const VISIBILITY: f32 = 0.1;
-
-fn sigmoid(v: f32) -> f32 {
-    1.0 / (1.0 + (-v).exp())
-}
 
 /// Gradient, before the sigmoid, of the mean of `b v + (1 - v)²` over the parts of the photo with a known `b`; `v` is
 /// their visibility and `b` their residuals. The minimum is at `v = 1 - b / 2`.
