@@ -5,6 +5,7 @@
 
 use crate::{MaskError, MaskSettings};
 use glam::Vec3;
+use segwild_scene::statistics::interpolated_quantile;
 use segwild_scene::{Camera, Image, Mask, NEAR, Pose, Scene, View};
 
 /// Diagonal in mm of the 36 x 24 frame that 35-mm focal lengths refer to.
@@ -55,7 +56,8 @@ impl SceneDepths {
     pub fn spread(mut depths: Vec<f64>) -> SceneDepths {
         depths.retain(|d| d.is_finite());
         depths.sort_by(f64::total_cmp);
-        SceneDepths { low: quantile(&depths, 0.01), high: quantile(&depths, 0.99) }
+        let [low, high] = low_and_high(&depths);
+        SceneDepths { low, high }
     }
 
     /// Where a view depth lies between near (0) and far (1); 0.5 if it is unknown or all photos are alike.
@@ -115,7 +117,7 @@ pub fn depth_map(means: &[[f32; 3]], camera: &Camera, pose: &Pose, sky: Option<&
     }
     let mut known: Vec<f64> = depth.iter().filter(|d| d.is_finite()).map(|&d| f64::from(d)).collect();
     known.sort_by(f64::total_cmp);
-    let (low, high) = (quantile(&known, 0.01), quantile(&known, 0.99));
+    let [low, high] = low_and_high(&known);
     let range = high - low;
     let scaled = |d: f32| match d {
         d if !d.is_finite() => 0.0,
@@ -255,11 +257,7 @@ fn spread(points: &mut Vec<[f32; 2]>, xs: std::ops::Range<usize>, ys: std::ops::
     }
 }
 
-/// Quantile of sorted values, interpolated; 0 of none.
-fn quantile(sorted: &[f64], q: f64) -> f64 {
-    let Some(last) = sorted.len().checked_sub(1) else { return 0.0 };
-    let at = q * last as f64;
-    let (below, rest) = (at.floor() as usize, at.fract());
-    let above = (below + 1).min(last);
-    sorted[below] + rest * (sorted[above] - sorted[below])
+/// The 1 and 99 % quantiles of sorted depths; 0 of none.
+fn low_and_high(sorted: &[f64]) -> [f64; 2] {
+    [0.01, 0.99].map(|share| interpolated_quantile(sorted, share).unwrap_or(0.0))
 }

@@ -6,6 +6,7 @@
 
 use crate::draft::{Draft, DraftPoint, DraftPose};
 use crate::lens::Lens;
+use crate::statistics::upper_median;
 use crate::{Camera, NEAR, SceneFrame};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -175,7 +176,7 @@ impl<'a> Placing<'a> {
         let distance = |p: &DraftPoint| p.position.distance(frame.origin);
         let finite = self.draft.points.iter().map(distance).filter(|d| d.is_finite());
         // Cameras may stand closely together before a scene that is far from all of them.
-        let limit = BEYOND * frame.scale.max(median(finite.collect()));
+        let limit = BEYOND * frame.scale.max(upper_median(finite.collect()).unwrap_or(0.0));
         let agree = |p: &DraftPoint| {
             let agreeing = self.sightings(p).filter(|(photo, seen)| photo.agrees(p.position, *seen));
             agreeing.count() >= SUPPORT
@@ -194,13 +195,15 @@ impl<'a> Placing<'a> {
     /// Per placed photo, whether it stands far off.
     fn far_off(&self) -> Vec<bool> {
         let middle = {
-            let median_of =
-                |axis: fn(&DVec3) -> f64| median(self.placed.iter().map(|p| axis(&p.pose.centre)).collect());
+            let median_of = |axis: fn(&DVec3) -> f64| {
+                let coordinates = self.placed.iter().map(|p| axis(&p.pose.centre)).collect();
+                upper_median(coordinates).unwrap_or(0.0)
+            };
             DVec3::new(median_of(|c| c.x), median_of(|c| c.y), median_of(|c| c.z))
         };
         let distances: Vec<f64> = self.placed.iter().map(|p| p.pose.centre.distance(middle)).collect();
         let largest = distances.iter().fold(0.0, |a: f64, &b| a.max(b));
-        let range = median(distances.clone());
+        let range = upper_median(distances.clone()).unwrap_or(0.0);
         // Most scenes end here, before any point is read.
         if largest <= FAR_OFF * range {
             return vec![false; self.placed.len()];
@@ -218,10 +221,8 @@ impl<'a> Placing<'a> {
             .flat_map(|point| self.sightings(point).map(move |(p, _)| depth((p, point))))
             .filter(|&z| z > 0.0)
             .collect();
-        if !depths.is_empty() {
-            return median(depths);
-        }
-        median(points.map(|p| p.position.distance(middle)).collect())
+        let distances = || points.map(|p| p.position.distance(middle)).collect();
+        upper_median(depths).or_else(|| upper_median(distances())).unwrap_or(0.0)
     }
 
     /// Per photo that stands far off, how many of its points another photo saw too, and how many of these lie where it saw them.
@@ -289,7 +290,7 @@ fn frame_of(centres: &[DVec3], points: &[DVec3]) -> SceneFrame {
     let origin = centres.iter().sum::<DVec3>() / centres.len() as f64;
     let radius = centres.iter().map(|c| c.distance(origin)).fold(0.0, f64::max);
     let distances = points.iter().map(|p| p.distance(origin)).filter(|d| d.is_finite()).collect();
-    let median = median(distances);
+    let median = upper_median(distances).unwrap_or(0.0);
     let rounding = origin.abs().max_element() * 1e-12;
     let scale = if radius > (COINCIDE * median).max(rounding) {
         1.1 * radius
@@ -299,10 +300,4 @@ fn frame_of(centres: &[DVec3], points: &[DVec3]) -> SceneFrame {
         1.0
     };
     SceneFrame { origin, scale }
-}
-
-/// The upper median; 0 of nothing.
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }

@@ -67,6 +67,7 @@ pub mod settings;
 mod similarity;
 mod splats;
 mod split;
+pub mod statistics;
 mod taken;
 pub mod text;
 mod transforms;

@@ -8,6 +8,7 @@ use crate::mask_files::MaskFiles;
 use crate::names::is_inside;
 use crate::photo_files::LocateError;
 use crate::split::{Split, SplitPart};
+use crate::statistics::upper_median;
 use crate::{
     DARKEST, DecodeError, HoldOut, ImportedSplats, MaskFileError, Observation, Photo, PhotoError, Point,
     Pose, PosedPhotos, Reading, Scene, SceneError, SceneFrame, SceneSettings, Seal, Skipped, SplatFile, View,
@@ -212,10 +213,8 @@ fn far_off<'a>(usable: &BTreeMap<&'a str, (usize, CheckedPhoto)>) -> Vec<(&'a st
     let ratio = |c: &CheckedPhoto| {
         f64::from(c.camera.fx.max(c.camera.fy) / c.camera.width.max(c.camera.height) as f32)
     };
-    let mut ratios: Vec<f64> = usable.values().map(|(_, c)| ratio(c)).collect();
-    ratios.sort_by(f64::total_cmp);
-    let usual = ratios.get(ratios.len() / 2).copied().unwrap_or(1.0);
-    let far = |c: &CheckedPhoto| ratios.len() > 3 && !(usual / FAR_OFF..=usual * FAR_OFF).contains(&ratio(c));
+    let usual = upper_median(usable.values().map(|(_, c)| ratio(c)).collect()).unwrap_or(1.0);
+    let far = |c: &CheckedPhoto| usable.len() > 3 && !(usual / FAR_OFF..=usual * FAR_OFF).contains(&ratio(c));
     let reason = |c: &CheckedPhoto| {
         format!(
             "its camera has a focal length of {:.1} photo lengths where {usual:.1} is usual here: the reconstruction went wrong there",

@@ -15,6 +15,7 @@
 use crate::colourless::colourless;
 use crate::decode::before_turn;
 use crate::photo::{DEAR, sample};
+use crate::statistics::upper_median;
 use crate::{DARKEST, Image, NEAR, Point, View};
 use image::metadata::Orientation;
 use rayon::prelude::*;
@@ -184,7 +185,7 @@ fn compare(photo: &Image, orientation: Orientation, keypoints: &[ColouredKeypoin
     };
     let (for_stored, for_turned) = (count(f32::lt), count(f32::gt));
     let sigmas = (for_stored - for_turned) / (for_stored + for_turned).max(1.0).sqrt();
-    let (stored, turned) = (median(stored), median(turned));
+    let [stored, turned] = [stored, turned].map(|errors| upper_median(errors).unwrap_or(0.0));
     if sigmas >= SURE && stored <= RATIO * turned {
         OrientationVerdict::Stored
     } else if sigmas <= -SURE && turned <= RATIO * stored {
@@ -212,19 +213,11 @@ fn errors(photo: &Image, orientation: Orientation, keypoints: &[ColouredKeypoint
 /// Each channel divided by its median.
 fn relative(mut colours: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
     for c in 0..3 {
-        let middle = median(colours.iter().map(|colour| colour[c]).collect()).max(DARKEST);
+        let values: Vec<f32> = colours.iter().map(|colour| colour[c]).collect();
+        let middle = upper_median(values).unwrap_or(0.0).max(DARKEST);
         colours.iter_mut().for_each(|colour| colour[c] /= middle);
     }
     colours
-}
-
-/// The upper median; 0 of nothing.
-fn median(mut values: Vec<f32>) -> f32 {
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        return 0.0;
-    }
-    *values.select_nth_unstable_by(middle, f32::total_cmp).1
 }
 
 fn in_words(verdict: OrientationVerdict, exif: u8, names: &[&str]) -> String {

@@ -4,6 +4,7 @@ use glam::{Mat3, Vec3};
 use segwild_scene::Random;
 use segwild_scene::knn;
 use segwild_scene::ply::SH0;
+use segwild_scene::statistics::upper_median;
 use segwild_scene::{Camera, DARKEST, NEAR, Point, Pose, Scene, Splats, logit};
 
 /// What training starts from.
@@ -85,9 +86,7 @@ pub(crate) fn initial_splats(
         distances = knn::nearest(&positions, 3).mean_distances();
     }
     let n = positions.len();
-    let mut sorted = pixels.clone();
-    sorted.sort_by(f32::total_cmp);
-    let pixel = sorted[n / 2];
+    let pixel = upper_median(pixels.clone()).expect("there are points, if random ones");
     let stride = 3 * (sh_degree as usize + 1).pow(2);
     let mut sh = vec![0.0; n * stride];
     for (i, c) in colours.iter().enumerate() {

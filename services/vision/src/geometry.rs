@@ -2,6 +2,7 @@
 //! colour, alone or together with a network's, without the parts in which the reconstruction has points.
 
 use crate::{Builtin, PromptSegmenter, SkyDetector, SkyNetwork, VisionError};
+use segwild_scene::statistics::upper_median;
 use segwild_scene::{Image, Mask};
 use std::sync::Arc;
 
@@ -152,9 +153,7 @@ struct Peopled {
 fn openness(width: usize, height: usize, seen: &[[f32; 2]]) -> Image {
     let beside = (BESIDE * width as f32).max(2.0);
     let margin = (ABOVE * height as f32).max(2.0);
-    let mut rows: Vec<f32> = seen.iter().map(|p| p[1]).collect();
-    rows.sort_by(f32::total_cmp);
-    let middle = rows[rows.len() / 2];
+    let middle = upper_median(seen.iter().map(|p| p[1]).collect()).expect("points are seen");
     let mut out = Image::zeros(width, height, 1);
     for x in 0..width {
         let near = seen.iter().filter(|p| (p[0] - x as f32 - 0.5).abs() <= beside);

@@ -3,6 +3,7 @@
 use super::sweeps::{DEFAULT, SWEEPS, Sweep};
 use segwild_eval::metrics::Spread;
 use segwild_eval::record::{Record, Results, means};
+use segwild_scene::statistics::upper_median;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
@@ -83,9 +84,7 @@ pub(super) fn cost_words(cost: &str) -> &'static str {
 
 /// The middle one of all paces at which points were measured, in ms.
 pub(super) fn usual_pace(results: &Results) -> Option<f64> {
-    let mut paces: Vec<f64> = results.records.iter().filter_map(|r| r.numbers.get(PACE).copied()).collect();
-    paces.sort_by(f64::total_cmp);
-    paces.get(paces.len() / 2).copied()
+    upper_median(results.records.iter().filter_map(|r| r.numbers.get(PACE).copied()).collect())
 }
 
 /// A record with the times it would have had at that pace of the machine.

@@ -7,6 +7,7 @@ use segwild_eval::metrics::Spread;
 use segwild_eval::record::{Record, Results};
 use segwild_eval::stamp;
 use segwild_flow::files;
+use segwild_scene::statistics::interpolated_quantile;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -36,15 +37,11 @@ impl ClickRow {
         let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len() as f64;
         let share =
             |of: &[f64], least: f64| of.iter().filter(|x| **x >= least).count() as f64 / of.len() as f64;
-        let quantile = |q: f64| {
-            let at = q * (ious.len() - 1) as f64;
-            let (low, high) = (at.floor() as usize, at.ceil() as usize);
-            ious[low] + (ious[high] - ious[low]) * (at - low as f64)
-        };
+        let quartile = |share: f64| interpolated_quantile(&ious, share).expect("there are prompts");
         let (best, clicks_to) = (all("best_iou"), CLICKS_TO.map(all));
         (!ious.is_empty()).then(|| ClickRow {
             mean: mean(&ious),
-            quartiles: [0.25, 0.5, 0.75].map(quantile),
+            quartiles: [0.25, 0.5, 0.75].map(quartile),
             found: FOUND.map(|least| share(&ious, least)),
             best: (!best.is_empty()).then(|| [mean(&best), share(&best, FOUND[0])]),
             clicks_to: (!clicks_to[0].is_empty()).then(|| clicks_to.map(|of| mean(&of))),

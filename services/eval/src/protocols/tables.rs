@@ -8,6 +8,7 @@ use crate::baselines::{BASELINES, named_after, row};
 use crate::metrics::Spread;
 use crate::record::{Record, Results};
 use crate::stamp::{self, provider, providers};
+use segwild_scene::statistics::quantile;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
@@ -66,9 +67,8 @@ fn worst_prompt(results: &Results, row: RowOf) -> Option<f64> {
 /// Lower quartile, median and upper quartile of the IoU over all clicks of a row.
 fn quartiles(results: &Results, row: RowOf) -> String {
     let of_row = results.records.iter().filter(|r| row_of(r) == row);
-    let mut values: Vec<f64> = of_row.filter_map(|r| r.numbers.get("iou").copied()).collect();
-    values.sort_by(f64::total_cmp);
-    let at = |share: f64| values.get((share * values.len().saturating_sub(1) as f64).round() as usize);
+    let values: Vec<f64> = of_row.filter_map(|r| r.numbers.get("iou").copied()).collect();
+    let at = |share: f64| quantile(values.clone(), share);
     let shown = [0.25, 0.5, 0.75].map(|share| at(share).map_or("–".into(), |v| format!("{v:.3}")));
     shown.join(" / ")
 }

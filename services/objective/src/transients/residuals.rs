@@ -167,6 +167,7 @@ fn bin_top(bin: usize) -> f32 {
     (bin + 1) as f32 / BINS as f32
 }
 
+/// The quantile at `q` in [0, 1] of the residuals in a histogram: the upper end of the bin in which it lies.
 fn quantile(histogram: &[f32], q: f32) -> f32 {
     let total: f32 = histogram.iter().sum();
     let mut sum = 0.0;

@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Mat3, Quat, Vec3};
 use segwild_nn::eigen;
+use segwild_scene::statistics::{quantile, upper_median};
 use segwild_scene::{Camera, NEAR, Pose, Splats, choice};
 use std::f32::consts::TAU;
 
@@ -91,18 +92,14 @@ pub(super) struct ObjectSphere {
 impl ObjectSphere {
     /// The sphere of the splats of an object; `None` where it has none.
     pub fn of(splats: &Splats, object: &[usize]) -> Option<ObjectSphere> {
-        let quantile = |share: f32, mut values: Vec<f32>| {
-            values.sort_by(f32::total_cmp);
-            values.get(((values.len() as f32 - 1.0) * share).round() as usize).copied()
-        };
         let middle = |axis: usize| {
             let values = || object.iter().map(|&i| splats.means[i][axis]).collect();
-            Some(0.5 * (quantile(1.0 - NEARLY_ALL, values())? + quantile(NEARLY_ALL, values())?))
+            Some(0.5 * (quantile(values(), 1.0 - NEARLY_ALL)? + quantile(values(), NEARLY_ALL)?))
         };
         let centre = Vec3::new(middle(0)?, middle(1)?, middle(2)?);
         let distances = object.iter().map(|&i| splats.mean(i).distance(centre)).collect();
         // A single point has no size: any will do.
-        let radius = quantile(NEARLY_ALL, distances).filter(|r| *r > 0.0).unwrap_or(1.0);
+        let radius = quantile(distances, NEARLY_ALL).filter(|r| *r > 0.0).unwrap_or(1.0);
         Some(ObjectSphere { centre, radius })
     }
 }
@@ -185,13 +182,6 @@ fn showing(photos: &[PathCamera], sphere: &ObjectSphere) -> Vec<PathCamera> {
     if shown.is_empty() { photos.to_vec() } else { shown }
 }
 
-/// # Panics
-/// Without values.
-fn median(mut values: Vec<f32>) -> f32 {
-    values.sort_by(f32::total_cmp);
-    values[values.len() / 2]
-}
-
 /// A full turn around an object that stands alone: square images of `size` pixels, from the elevation of the photos that show it.
 ///
 /// # Panics
@@ -206,7 +196,8 @@ pub(super) fn turntable(
     let axes = ObjectAxes::new(sphere.centre, up);
     let positions = axes.of_photos(&showing(photos, sphere));
     let (low, high) = (ELEVATIONS.0.to_radians(), ELEVATIONS.1.to_radians());
-    let elevation = median(positions.iter().map(|at| at.elevation).collect()).clamp(low, high);
+    let elevations = positions.iter().map(|at| at.elevation).collect();
+    let elevation = upper_median(elevations).expect("there are photos").clamp(low, high);
     // It begins where most photos were taken.
     let sum = |of: fn(f32) -> f32| positions.iter().map(|at| of(at.azimuth)).sum::<f32>();
     let start = sum(f32::sin).atan2(sum(f32::cos));

@@ -2,6 +2,7 @@
 //! result would show the fault.
 
 use segwild_scene::Scene;
+use segwild_scene::statistics::upper_median;
 
 /// A scene needs this many photos: on a synthetic scene, 12 photos segment objects a quarter worse than 40.
 const FEW: usize = 15;
@@ -71,13 +72,9 @@ fn misfit(scene: &Scene) -> Vec<String> {
             of_view[seen.view as usize].push(distance);
         }
         tracked += 1;
-        astray += usize::from(median(&mut off) > ASTRAY);
+        astray += usize::from(upper_median(off).is_some_and(|off| off > ASTRAY));
     }
-    let mut all: Vec<f32> = of_view.iter().flatten().copied().collect();
-    if all.is_empty() {
-        return Vec::new();
-    }
-    let whole = median(&mut all);
+    let Some(whole) = upper_median(of_view.iter().flatten().copied().collect()) else { return Vec::new() };
     let mut words = Vec::new();
     if whole > MISFIT {
         words.push(format!(
@@ -86,10 +83,11 @@ fn misfit(scene: &Scene) -> Vec<String> {
             100.0 * whole
         ));
     } else {
-        let view_off = |(view, off): (&segwild_scene::View, &mut Vec<f32>)| {
-            (off.len() >= 8 && median(off) > ASTRAY).then(|| view.name.clone())
+        let view_off = |(view, off): (&segwild_scene::View, Vec<f32>)| {
+            let astray = off.len() >= 8 && upper_median(off).is_some_and(|off| off > ASTRAY);
+            astray.then(|| view.name.clone())
         };
-        let odd: Vec<String> = scene.views.iter().zip(&mut of_view).filter_map(view_off).collect();
+        let odd: Vec<String> = scene.views.iter().zip(of_view).filter_map(view_off).collect();
         if !odd.is_empty() {
             words.push(format!(
                 "the camera pose of {} photos does not fit the points ({}): leave them out",
@@ -114,14 +112,11 @@ fn together(scene: &Scene) -> Option<String> {
     let first = cameras.first()?.pose.centre();
     let apart = cameras.iter().map(|v| (v.pose.centre() - first).length()).fold(0.0, f32::max);
     let seen = scene.points.iter().flat_map(|p| p.track.first().map(|o| (p, o)));
-    let mut depths: Vec<f32> = seen
+    let depths = seen
         .map(|(p, o)| scene.views[o.view as usize].pose.to_camera(p.position).z)
         .filter(|z| *z > 0.0)
         .collect();
-    if cameras.len() < 2 || depths.is_empty() {
-        return None;
-    }
-    let far = median(&mut depths);
+    let far = upper_median(depths).filter(|_| cameras.len() >= 2)?;
     (apart < TOGETHER * far).then(|| {
         format!(
             "all photos are taken from one spot ({:.1} % of the distance to what they show lies between them): they tell no \
@@ -151,11 +146,6 @@ pub(crate) fn overfitted(train: f32, held_out: f32) -> Option<String> {
             train - held_out
         )
     })
-}
-
-fn median(values: &mut [f32]) -> f32 {
-    let middle = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f32::total_cmp).1 }
 }
 
 fn some(names: &[String]) -> String {

@@ -2,6 +2,7 @@
 
 use super::corrections::Corrections;
 use segwild_raster::Rasterizer;
+use segwild_scene::statistics::upper_median;
 use segwild_scene::{Mask, PhotoStore};
 use segwild_trainer::{Model, TrainError, render_view};
 
@@ -37,9 +38,8 @@ pub fn visibility(
     let residual: Vec<f32> = (0..n)
         .map(|i| (0..3).map(|c| (render.plane(c)[i] - small.plane(c)[i]).abs()).sum::<f32>() / 3.0)
         .collect();
-    let mut sorted = residual.clone();
-    sorted.sort_by(f32::total_cmp);
-    let limit = (TOLERANCE * sorted[n / 2]).max(HARMLESS);
+    let usual = upper_median(residual.clone()).expect("a photo has pixels");
+    let limit = (TOLERANCE * usual).max(HARMLESS);
     let sky = sky.map(|s| s.resized(camera.width, camera.height));
     let valid = photo.valid.as_ref().map(|v| v.resized(camera.width, camera.height));
     let corrected = transients.mask(index, camera.width, camera.height);

@@ -2,6 +2,7 @@
 
 use segwild_raster::Frame;
 use segwild_scene::Image;
+use segwild_scene::statistics::upper_median;
 
 /// Pixels between the samples of the second difference of inverse depth.
 const DIFFERENCE_STEP: usize = 2;
@@ -58,14 +59,9 @@ pub fn depth_edges(frame: &Frame) -> Image {
             relative[y as usize * w + x as usize] = if bend.is_finite() { bend } else { 0.0 };
         }
     }
-    let mut solid: Vec<f32> =
+    let solid =
         relative.iter().zip(alpha.plane(0)).filter(|(_, a)| **a > MIN_DEPTH_ALPHA).map(|(r, _)| *r).collect();
-    let noise = if solid.is_empty() {
-        0.0
-    } else {
-        let middle = solid.len() / 2;
-        *solid.select_nth_unstable_by(middle, f32::total_cmp).1
-    };
+    let noise = upper_median(solid).unwrap_or(0.0);
     let half = NOISE_FACTOR * noise + MIN_BEND;
     let data = relative.iter().map(|r| 1.0 - (-(r / half).powi(2)).exp()).collect();
     Image { width: w, height: h, channels: 1, data }

@@ -6,6 +6,7 @@ use crate::coverage::unoccluded;
 use crate::{NeighbourGraph, PosedView, SegmentError};
 use rayon::prelude::*;
 use segwild_raster::{Channels, CpuEngine, Frame, FrontLayer, NO_SPLAT, ProjectOptions, Rasterizer};
+use segwild_scene::statistics::median;
 use segwild_scene::{Image, Splats};
 use segwild_vision::ContourTree;
 use segwild_vision::linkage::MergeTree;
@@ -352,15 +353,8 @@ impl<'a> TreeBuilder<'a> {
                 heights[cue].push(merges.height[meet as usize]);
             }
         }
-        (!heights[0].is_empty()).then(|| heights.map(median))
+        (!heights[0].is_empty()).then(|| heights.map(|of| median(of).expect("each view has all cues")))
     }
-}
-
-/// The median of at least one number.
-fn median(mut of: Vec<f32>) -> f32 {
-    of.sort_unstable_by(f32::total_cmp);
-    let n = of.len();
-    0.5 * (of[(n - 1) / 2] + of[n / 2])
 }
 
 /// Splats that take no part follow the nearest neighbour that has a node.
@@ -384,7 +378,7 @@ fn followers(mut node: Vec<u32>, neighbours: &NeighbourGraph) -> Vec<u32> {
     }
 }
 
-/// A quantile of numbers; 0 of none.
+/// A quantile of numbers by the nearest rank; 0 of none. The rank is computed in f64: there may be more edges than an f32 counts.
 pub(super) fn quantile(mut of: Vec<f32>, share: f64) -> f32 {
     let at = (of.len().saturating_sub(1) as f64 * share).round() as usize;
     if of.is_empty() { 0.0 } else { *of.select_nth_unstable_by(at, f32::total_cmp).1 }

@@ -20,6 +20,7 @@ use segwild_flow::Stopper;
 use segwild_pipeline::{
     Code, ObjectList, RunFolder, Session, SessionOptions, TrainingSnapshot, list_objects,
 };
+use segwild_scene::statistics::upper_median;
 use state::{GrowingAnswer, StudioState};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use tokio::sync::watch;
@@ -162,14 +163,9 @@ impl Studio {
     fn orientation(&self) -> ([f32; 3], [f32; 3]) {
         let views = &self.session.scene().views;
         let up: glam::Vec3 = views.iter().map(|view| -view.pose.rotation.row(1)).sum();
-        let mut means = self.session.model().splats.means.clone();
-        let mut middle = [0.0; 3];
-        if !means.is_empty() {
-            for (k, middle) in middle.iter_mut().enumerate() {
-                let half = means.len() / 2;
-                *middle = means.select_nth_unstable_by(half, |a, b| a[k].total_cmp(&b[k])).1[k];
-            }
-        }
+        let means = &self.session.model().splats.means;
+        let coordinates = |k: usize| means.iter().map(|mean| mean[k]).collect();
+        let middle = [0, 1, 2].map(|k| upper_median(coordinates(k)).unwrap_or(0.0));
         (middle, up.try_normalize().unwrap_or(glam::Vec3::NEG_Y).to_array())
     }
 

@@ -10,6 +10,7 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use segwild_nn::eigen;
 use segwild_scene::knn::NearestPoint;
+use segwild_scene::statistics::median;
 use segwild_scene::{ImportedSplats, Scene, Similarity, Splats};
 use serde::Deserialize;
 use std::path::Path;
@@ -289,16 +290,14 @@ fn gsplat(rig: &Rig) -> Vec<FrameCandidate> {
     let turn = DMat3::from_quat(glam::DQuat::from_rotation_arc(rig.mean_up(), DVec3::NEG_Y));
     let cameras = rig.cameras.iter().map(|(centre, axes)| (turn * *centre, turn * axes.z_axis));
     let nearest: Vec<DVec3> = cameras.clone().map(|(t, f)| t + f * f.dot(-t)).collect();
-    let focus = median(&nearest);
-    let mut distances: Vec<f64> = cameras.map(|(t, _)| (t - focus).length()).collect();
-    distances.sort_by(f64::total_cmp);
-    let scale = 1.0 / middle(&distances);
+    let focus = median_point(&nearest);
+    let scale = 1.0 / middle(cameras.map(|(t, _)| (t - focus).length()));
     let upright = Similarity { rotation: turn, scale, translation: -focus * scale };
     let points: Vec<DVec3> = rig.points.iter().map(|p| upright.apply(*p)).collect();
     if points.len() < LEAST_POINTS || !scale.is_finite() {
         return Vec::new();
     }
-    let centre = median(&points);
+    let centre = median_point(&points);
     let axes = principal_axes(&points);
     let mut all = vec![FrameCandidate::of(upright.inverse(), "gsplat's world")];
     for signs in [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]] {
@@ -314,11 +313,9 @@ fn gsplat(rig: &Rig) -> Vec<FrameCandidate> {
 fn by_axes(centres: &[[f32; 3]], points: &[DVec3]) -> Vec<FrameCandidate> {
     let centres: Vec<DVec3> = centres.iter().map(|p| DVec3::from(p.map(f64::from))).collect();
     let [(from, own, own_size), (to, axes, size)] = [&centres[..], points].map(|cloud| {
-        let centre = median(cloud);
+        let centre = median_point(cloud);
         // What lies far off has no part in the axes.
-        let mut distances: Vec<f64> = cloud.iter().map(|p| (*p - centre).length()).collect();
-        distances.sort_by(f64::total_cmp);
-        let size = middle(&distances);
+        let size = middle(cloud.iter().map(|p| (*p - centre).length()));
         let near: Vec<DVec3> =
             cloud.iter().copied().filter(|p| (*p - centre).length() <= 2.0 * size).collect();
         (centre, principal_axes(&near), size)
@@ -350,21 +347,13 @@ fn principal_axes(points: &[DVec3]) -> DMat3 {
 }
 
 /// The median of each coordinate.
-fn median(points: &[DVec3]) -> DVec3 {
-    DVec3::from_array([0, 1, 2].map(|k| {
-        let mut values: Vec<f64> = points.iter().map(|p| p[k]).collect();
-        values.sort_by(f64::total_cmp);
-        middle(&values)
-    }))
+fn median_point(points: &[DVec3]) -> DVec3 {
+    DVec3::from_array([0, 1, 2].map(|k| middle(points.iter().map(|p| p[k]))))
 }
 
-/// The median of sorted values; of an even number of them the mean of the middle two, as NumPy has it.
-fn middle(sorted: &[f64]) -> f64 {
-    let n = sorted.len();
-    match n {
-        0 => f64::NAN,
-        _ => 0.5 * (sorted[(n - 1) / 2] + sorted[n / 2]),
-    }
+/// The median, NaN of nothing, as NumPy has it.
+fn middle(values: impl Iterator<Item = f64>) -> f64 {
+    median(values.collect()).unwrap_or(f64::NAN)
 }
 
 /// nerfstudio's file: `p_splats = scale * transform * p_poses`.

@@ -1,5 +1,7 @@
 //! Small filters over one plane: blur, derivatives, pyramid steps.
 
+use segwild_scene::statistics::quantile;
+
 /// One plane of numbers, row-major.
 #[derive(Clone, Debug)]
 pub(crate) struct FloatPlane {
@@ -161,11 +163,12 @@ impl FloatPlane {
         out
     }
 
-    /// Value at quantile `q` in [0, 1].
+    /// Value at quantile `q` in [0, 1], by the nearest rank.
+    ///
+    /// # Panics
+    /// Without pixels.
     pub fn quantile(&self, q: f32) -> f32 {
-        let mut sorted = self.data.clone();
-        let k = (q * (sorted.len() - 1) as f32).round() as usize;
-        *sorted.select_nth_unstable_by(k, f32::total_cmp).1
+        quantile(self.data.clone(), q).expect("a plane has pixels")
     }
 }
 
