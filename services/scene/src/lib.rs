@@ -93,7 +93,7 @@ pub use photo::{LoadedPhoto, load_photo};
 pub use photo_store::PhotoStore;
 pub use posed::PosedPhotos;
 pub use prompt::{BoxPrompt, PointPrompt, Prompts};
-pub use random::Random;
+pub use random::{Random, split_mix};
 pub use scene_frame::SceneFrame;
 pub use seal::Seal;
 pub use similarity::Similarity;

@@ -2,7 +2,25 @@
 
 use wincode::{SchemaRead, SchemaWrite};
 
-/// xoshiro256++ (Blackman and Vigna), seeded by splitmix64.
+/// SplitMix64 (Steele, Lea and Flood 2014): the next 64 random bits of a state, which it advances. Every state is as good as any
+/// other, 0 included.
+///
+/// ```
+/// use segwild_scene::split_mix;
+/// let mut state = 0;
+/// assert_eq!(split_mix(&mut state), 0xe220_a839_7b1d_cdaf);
+/// assert_eq!(split_mix(&mut state), 0x6e78_9e6a_a1b9_65f4);
+/// ```
+#[inline]
+pub fn split_mix(state: &mut u64) -> u64 {
+    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let mut z = *state;
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+/// xoshiro256++ (Blackman and Vigna), seeded by [`split_mix`].
 #[derive(Clone, Debug, PartialEq, Eq, SchemaRead, SchemaWrite)]
 pub struct Random {
     state: [u64; 4],
@@ -12,14 +30,7 @@ impl Random {
     /// A stream that depends on nothing but the seed.
     pub fn new(seed: u64) -> Random {
         let mut x = seed;
-        let state = std::array::from_fn(|_| {
-            x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
-            let mut z = x;
-            z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-            z ^ (z >> 31)
-        });
-        Random { state }
+        Random { state: std::array::from_fn(|_| split_mix(&mut x)) }
     }
 
     /// A stream of its own for a (seed, index) pair: its samples do not depend on those of other pairs.

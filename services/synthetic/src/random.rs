@@ -1,8 +1,9 @@
 //! Numbers from a seed, and smooth noise: the same on every machine and in every thread order.
 
 use glam::{Vec2, Vec3};
+use segwild_scene::split_mix;
 
-/// SplitMix64: small, seedable, and each `(seed, stream)` is a sequence of its own, so that what one photo
+/// SplitMix64 ([`split_mix`]): small, seedable, and each `(seed, stream)` is a sequence of its own, so that what one photo
 /// draws never depends on another photo.
 #[derive(Clone, Debug)]
 pub struct Rng(u64);
@@ -18,11 +19,7 @@ impl Rng {
 
     /// 64 random bits.
     pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        split_mix(&mut self.0)
     }
 
     /// Uniform in [0, 1).
