@@ -2,7 +2,7 @@
 
 use crate::PosesError;
 use segwild_flow::files;
-use segwild_scene::Skipped;
+use segwild_scene::{Skipped, file_digest};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
@@ -34,9 +34,7 @@ impl FileStamp {
         {
             return Ok(before.clone());
         }
-        let mut hasher = blake3::Hasher::new();
-        hasher.update_reader(files::open_plain(path)?)?;
-        Ok(FileStamp { bytes, changed, digest: hasher.finalize().to_hex().to_string() })
+        Ok(FileStamp { bytes, changed, digest: file_digest(path)? })
     }
 }
 

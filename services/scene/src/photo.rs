@@ -1,6 +1,7 @@
 //! Loading a photo: decode, turn, undistort, scale down, mark what is not to be trusted.
 
-use crate::decode::{self, DecodeError, Decoded, ImageHead, swaps_sides};
+use crate::decode::{DecodeError, Decoded, ImageHead, swaps_sides};
+use crate::digest::file_digest;
 use crate::lens::Lens;
 use crate::{Camera, Image, Mask, PhotoError, SceneError, View};
 use fast_image_resize as fir;
@@ -132,10 +133,7 @@ impl View {
     /// BLAKE3 of the photo's bytes, in hexadecimal: what a cache key needs of the photo.
     pub fn digest(&self) -> Result<String, SceneError> {
         let path = &self.photo.path;
-        let mut hasher = blake3::Hasher::new();
-        let hashed = decode::open_file(path).and_then(|file| hasher.update_reader(file).map(drop));
-        hashed.map_err(|e| self.photo_error(path, DecodeError::Io(e)))?;
-        Ok(hasher.finalize().to_hex().to_string())
+        file_digest(path).map_err(|e| self.photo_error(path, DecodeError::Io(e)))
     }
 
     /// Decodes the photo once at a small size, and looks for damage that decoders pass over: whether it can be used at all, at

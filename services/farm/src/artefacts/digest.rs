@@ -5,7 +5,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use segwild_flow::FileError;
-use segwild_flow::files::open_plain;
+use segwild_scene::hash_file;
 use serde::{Deserialize, Serialize};
 
 /// The BLAKE3 of an artefact's bytes. As text it has 64 hexadecimal digits, small letters alone: it becomes part of a name
@@ -40,8 +40,7 @@ impl ArtefactDigest {
     /// When it cannot be read, or is a pipe or a device.
     pub fn of_file(path: &Path) -> Result<(Self, u64), FileError> {
         let mut hasher = blake3::Hasher::new();
-        let hashed = open_plain(path).and_then(|file| hasher.update_reader(file).map(|_| ()));
-        hashed.map_err(|e| FileError::new("read", path, e))?;
+        hash_file(&mut hasher, path).map_err(|e| FileError::new("read", path, e))?;
         Ok((Self::finish(&hasher), hasher.count()))
     }
 

@@ -3,7 +3,7 @@
 use super::lpips::LpipsFile;
 use crate::{RunError, Settings};
 use rayon::prelude::*;
-use segwild_scene::{ImportedSplats, PhotoStore, Scene, SceneError, View};
+use segwild_scene::{ImportedSplats, PhotoStore, Scene, SceneError, View, file_digest};
 use std::error::Error;
 use std::sync::Arc;
 
@@ -88,11 +88,8 @@ pub(crate) fn photo_digest(view: &View) -> Result<String, SceneError> {
     let mut digest = view.digest()?;
     for (label, mask) in [("", &view.photo.ignore), ("keep", &view.photo.usable)] {
         let Some(mask) = mask else { continue };
-        let mut hasher = blake3::Hasher::new();
-        let hashed = segwild_scene::open_file(mask).and_then(|file| hasher.update_reader(file).map(drop));
-        hashed.map_err(SceneError::io(mask))?;
         digest.push_str(label);
-        digest.push_str(hasher.finalize().to_hex().as_str());
+        digest.push_str(&file_digest(mask).map_err(SceneError::io(mask))?);
     }
     if view.photo.reading.turned {
         digest.push_str("turned");

@@ -11,6 +11,7 @@ mod spz;
 
 pub use program::{SplatWriter, UpAxis};
 
+use crate::digest::hash_file;
 use crate::ply::{self, header::Header};
 use crate::{SceneError, Splats, open_file};
 use std::io::Read;
@@ -102,8 +103,7 @@ impl ImportedSplats {
 fn digest_of(paths: impl IntoIterator<Item = PathBuf>) -> Result<String, SceneError> {
     let mut hasher = blake3::Hasher::new();
     for path in paths {
-        let hashed = open_file(&path).and_then(|file| hasher.update_reader(file).map(drop));
-        hashed.map_err(SceneError::io(&path))?;
+        hash_file(&mut hasher, &path).map_err(SceneError::io(&path))?;
     }
     Ok(hasher.finalize().to_hex().to_string())
 }

@@ -3,6 +3,7 @@
 //! A network file is a program from an untrusted source. Every refusal gives a reason; the caller adds the file's name.
 
 use super::wire::{WireError, WireValue, fields};
+use segwild_scene::hash_file;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
@@ -162,7 +163,7 @@ pub(crate) fn inspect(path: &Path) -> Result<Inspected, ModelFileError> {
         if total > LARGEST_BESIDE {
             return Err(ModelFileError::WeightsTooLarge);
         }
-        hasher.update_reader(File::open(&file).map_err(unreadable)?).map_err(unreadable)?;
+        hash_file(&mut hasher, &file).map_err(unreadable)?;
     }
     Ok(Inspected { hash: hasher.finalize().to_hex().to_string(), beside: !walk.beside.is_empty(), bytes })
 }
