@@ -2,11 +2,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use rusqlite::types::Type;
 use rusqlite::{Connection, OpenFlags, Row, Transaction, TransactionBehavior, params};
+use segwild_flow::lock;
 
 use crate::clock::{JobClock, SystemClock};
 use crate::engine::{ChangeKind, EngineError, ErrorClass, JobChange, JobState, JobStatus};
@@ -121,7 +122,7 @@ impl EmbeddedEngine {
     }
 
     fn read<T>(&self, query: impl FnOnce(&Connection) -> rusqlite::Result<T>) -> Result<T, EngineError> {
-        let held = self.store.lock().unwrap_or_else(PoisonError::into_inner);
+        let held = lock(&self.store);
         query(&held.connection).map_err(|e| store(&self.path, &e))
     }
 }
@@ -132,7 +133,7 @@ impl TransitionLog for EmbeddedEngine {
         decide: impl Fn(&JobTable, f64) -> Decision<A>,
         then: impl FnOnce(&JobTable, A) -> R,
     ) -> Result<R, EngineError> {
-        let mut held = self.store.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut held = lock(&self.store);
         let held = &mut *held;
         // Whatever fails on the way leaves no table that the file does not have.
         let seen = held.seen.take();
@@ -157,7 +158,7 @@ impl TransitionLog for EmbeddedEngine {
     }
 
     fn with_table<R>(&self, read: impl FnOnce(&JobTable) -> R) -> Result<R, EngineError> {
-        let mut held = self.store.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut held = lock(&self.store);
         let held = &mut *held;
         let seen = held.seen.take();
         // One view of the file for all queries.
@@ -199,7 +200,7 @@ impl TransitionLog for EmbeddedEngine {
 
     fn met_jumps(&self) -> Result<Vec<f64>, EngineError> {
         self.transact(|_, _| Decision { transitions: Vec::new(), answer: Ok(()) }, |_, ()| ())?;
-        Ok(std::mem::take(&mut self.store.lock().unwrap_or_else(PoisonError::into_inner).jumped))
+        Ok(std::mem::take(&mut lock(&self.store).jumped))
     }
 }
 

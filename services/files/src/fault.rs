@@ -14,10 +14,11 @@
 //! assert!(fault::arm(&["full@nowhere"]).unwrap_err().to_string().contains("checkpoint.save"));
 //! ```
 
+use crate::lock;
 use std::borrow::Cow;
 use std::io;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// The points, and what has happened when each is passed. An actor's own points are `NAME.handle`; names that start with
@@ -143,10 +144,6 @@ pub fn arm<S: AsRef<str>>(faults: &[S]) -> Result<(), FaultError> {
         ARMED.store(true, Ordering::Release);
     }
     Ok(())
-}
-
-fn lock(faults: &Mutex<Vec<Arc<ArmedFault>>>) -> MutexGuard<'_, Vec<Arc<ArmedFault>>> {
-    faults.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The faults that strike now at a point.

@@ -7,6 +7,7 @@
 //! - [`FileError`]: which file, what was tried, why it failed, what to do.
 //! - [`name`]: what may be a file's name, and names of files that cannot collide.
 //! - [`stays_inside`]: whether everything in a folder stays in it, for folders that somebody else made.
+//! - [`lock`]: mutexes that serve on after a panic. They are no files; they lie here because it is the lowest floor.
 //!
 //! It knows no format and no folder of a run: what is written, and where, is its caller's.
 //!
@@ -27,12 +28,14 @@
 mod error;
 pub mod fault;
 mod inside;
+mod mutex;
 pub mod name;
 mod read;
 mod write;
 
 pub use error::{FileError, Obstacle};
 pub use inside::{Stray, stays_inside};
+pub use mutex::lock;
 pub use read::{open_plain, read_plain, read_within};
 pub use write::{
     append_line, open_to_append, remove_litter, sync_folder, unique_name, write_aside, write_atomic,

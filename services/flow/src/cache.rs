@@ -33,7 +33,7 @@ use crate::codec::{self, CodecError, Decode, Encode};
 use crate::fault;
 use crate::files::{self, FileError};
 use crate::key::Key;
-use crate::mutex::lock;
+use crate::lock;
 
 pub use inventory::{Artefact, Swept};
 

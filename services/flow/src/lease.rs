@@ -21,8 +21,8 @@ use std::sync::{Arc, Mutex};
 use std::task::{Context, Poll, Waker};
 use std::time::{Duration, Instant};
 
+use crate::lock;
 use crate::meter::waiting_for;
-use crate::mutex::lock;
 use crate::park::block_on;
 
 /// Somebody in the queue.

@@ -13,7 +13,8 @@
 //! - [`SystemRefusal`]: what the disk or the system is at fault for, found in an error and its sources.
 //! - [`shortage`]: what the system says when it has no file descriptors or processes left.
 //! - [`codec`]: binary records with a header.
-//! - [`files`] and [`fault`]: the one writer of files, and faults on purpose, from the floor below.
+//! - [`files`], [`fault`] and [`lock`]: the one writer of files, faults on purpose, and mutexes that serve on after a panic, from
+//!   the floor below.
 //!
 //! ```
 //! use segwild_flow::{Cache, Key};
@@ -47,7 +48,6 @@ pub mod ledger;
 pub mod mailbox;
 pub mod message;
 mod meter;
-mod mutex;
 mod park;
 pub mod process;
 mod program;
@@ -78,7 +78,7 @@ pub use progress::StageProgress;
 pub use recorder::Recorder;
 pub use refusal::SystemRefusal;
 pub use report::{ActorReport, Exit, Report, StorageFailure, WorkerStatus};
-pub use segwild_files::{self as files, FileError, fault};
+pub use segwild_files::{self as files, FileError, fault, lock};
 pub use supervise::{ActorOptions, RestartBudget};
 pub use system::{Guest, Observer, SpawnError, System, SystemOptions};
 pub use timeline::{SpanKind, Timeline, TimelineRecord, TimelineSpan};

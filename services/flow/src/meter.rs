@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use crate::cpu;
-use crate::mutex::lock;
+use crate::lock;
 use crate::timeline::{SpanKind, Timeline};
 
 /// What a worker is doing.

@@ -10,10 +10,10 @@ use std::time::{Duration, Instant};
 use crate::actor::{Actor, ActorFailure, Context, FailureKind, Idle, Quarantined};
 use crate::events::Event;
 use crate::fault;
+use crate::lock;
 use crate::mailbox::{AnyMailbox, Receiver, RecvError};
 use crate::message::Message;
 use crate::meter::{Pulse, WorkerState};
-use crate::mutex::lock;
 use crate::report::{ActorReport, Exit, StorageFailure, WorkerStatus};
 
 /// How often an actor may be restarted.

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 use axum::Router;
@@ -11,6 +11,7 @@ use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use segwild_flow::lock;
 use tokio::sync::oneshot;
 
 use crate::connections::{ConnectionLimits, answer};
@@ -67,7 +68,7 @@ impl Served {
     /// A folder is searched at every request.
     fn view(&self) -> Result<MonitorView, ViewError> {
         // A panic elsewhere leaves views that are whole.
-        let mut runs = self.runs.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut runs = lock(&self.runs);
         match &self.source {
             MonitorSource::Folder(folder) => MonitorTarget::at(folder)?.read(&mut runs),
             MonitorSource::Target(target) => target.read(&mut runs),

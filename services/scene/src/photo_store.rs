@@ -4,6 +4,7 @@
 //! scene tree, the evaluation. All of them read through one store. A store may have a cache, in which photos outlast it.
 
 use crate::{LoadedPhoto, PackedPhoto, PhotoCache, Scene, SceneError, View};
+use segwild_files::lock;
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -122,7 +123,7 @@ impl PhotoStore {
     }
 
     fn held(&self) -> MutexGuard<'_, HeldPhotos> {
-        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.held)
     }
 }
 

@@ -6,13 +6,13 @@ use crate::{
     Alternative, AnswerStep, AnswerSteps, MaskReader, NeighbourGraph, PosedView, PromptedView, Refiner,
     Request, SegmentError, SegmentSettings, Selection, SpikeCut, SplatFeatures, cut, select,
 };
-use segwild_flow::{Actor, ActorFailure, Context, Message, Phase, Sender, Stopper};
+use segwild_flow::{Actor, ActorFailure, Context, Message, Phase, Sender, Stopper, lock};
 use segwild_objective::Engine;
 use segwild_raster::ProjectOptions;
 use segwild_scene::{Image, Mask, Prompts, ReaderError, ScoredMask, Splats};
 use segwild_vision::{PromptSegmenter, Prompted};
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 /// Reads the photo of a view at the size in which prompts are given.
 pub type PhotoReader = dyn Fn(usize) -> Result<Image, ReaderError> + Send + Sync;
@@ -235,7 +235,7 @@ impl PhotoRefiner<'_> {
     }
 
     fn prepared(&self) -> MutexGuard<'_, HashMap<usize, Image>> {
-        self.prepared.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.prepared)
     }
 }
 

@@ -1,9 +1,10 @@
 //! The splat in front at each pixel of the photos, kept in memory for hovering and for masks.
 
+use segwild_flow::lock;
 use segwild_pipeline::{RunError, Session};
 use segwild_raster::{FrontLayer, NO_SPLAT};
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// Bytes of maps in memory at most.
 const MOST_BYTES: usize = 256 << 20;
@@ -70,7 +71,7 @@ impl FrontMaps {
             return Ok(map);
         }
         let map = Arc::new(FrontMap::from(session.front(view)?));
-        let mut maps = self.maps.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut maps = lock(&self.maps);
         let clock = maps.values().map(|(_, used)| used + 1).max().unwrap_or(0);
         maps.insert(view, (map.clone(), clock));
         while maps.len() > 1 && maps.values().map(|(map, _)| 4 * map.splats.len()).sum::<usize>() > MOST_BYTES
@@ -83,12 +84,12 @@ impl FrontMaps {
 
     /// Bytes of all maps.
     pub fn bytes(&self) -> usize {
-        let maps = self.maps.lock().unwrap_or_else(PoisonError::into_inner);
+        let maps = lock(&self.maps);
         maps.values().map(|(map, _)| 4 * map.splats.len()).sum()
     }
 
     fn known(&self, view: usize) -> Option<Arc<FrontMap>> {
-        let mut maps = self.maps.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut maps = lock(&self.maps);
         let clock = maps.values().map(|(_, used)| used + 1).max().unwrap_or(0);
         let (map, used) = maps.get_mut(&view)?;
         *used = clock;

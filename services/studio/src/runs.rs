@@ -4,14 +4,14 @@ use crate::document::JournalError;
 use crate::messages::RunEntry;
 use crate::{Studio, StudioError};
 use segwild_farm::BatchFolder;
-use segwild_flow::{FileError, Stopper, files};
+use segwild_flow::{FileError, Stopper, files, lock};
 use segwild_monitor::view::RunState;
 use segwild_monitor::{MonitorTarget, MonitorView};
 use segwild_pipeline::{Code, RunFolder, TrainingSnapshot};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 /// Runs of a folder that are listed.
@@ -82,7 +82,7 @@ impl ServedRuns {
     }
 
     fn open(&self) -> MutexGuard<'_, BTreeMap<String, OpenState>> {
-        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.open)
     }
 
     /// The folder that operators' views are of.
@@ -125,7 +125,7 @@ impl ServedRuns {
     pub fn train_again(&self, name: &str) -> Result<(), StudioError> {
         let program = self.program.as_ref().ok_or(StudioError::Request("this server does not train"))?;
         let folder = self.folder(name).ok_or(StudioError::Request("there is no such run"))?;
-        let mut training = self.training.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut training = lock(&self.training);
         if training.get_mut(name).is_some_and(|child| matches!(child.try_wait(), Ok(None))) {
             return Err(StudioError::Request("this run is being trained already"));
         }

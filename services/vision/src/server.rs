@@ -4,13 +4,14 @@ use crate::service::wire::{self, Arriving, MessageError};
 use crate::{Providers, VisionError};
 use futures_util::StreamExt;
 use futures_util::stream::{self, BoxStream};
+use segwild_files::lock;
 use segwild_proto::Token;
 use segwild_proto::v1::{self, Capability, PixelFormat};
 use segwild_scene::{Image, Mask};
 use std::collections::HashMap;
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tokio::sync::Semaphore;
 use tonic::transport::server::TcpIncoming;
@@ -228,7 +229,7 @@ fn refused(error: VisionError) -> Status {
 
 impl Service {
     fn image(&self, hash: &str) -> Result<Arc<Image>, Status> {
-        let kept = self.images.lock().unwrap_or_else(PoisonError::into_inner).get(hash);
+        let kept = lock(&self.images).get(hash);
         kept.ok_or_else(|| Status::not_found("this image is not here: put it first"))
     }
 
@@ -296,7 +297,7 @@ impl v1::vision_server::Vision for Service {
             arriving.push(part)?;
         }
         let (image, hash) = arriving.finish()?;
-        self.images.lock().unwrap_or_else(PoisonError::into_inner).put(hash, image);
+        lock(&self.images).put(hash, image);
         Ok(Response::new(v1::PutImageResponse {}))
     }
 

@@ -6,12 +6,12 @@ use crate::point::PointError;
 use segwild_eval::oracle::OracleOptions;
 use segwild_eval::record::Record;
 use segwild_eval::trial::{ProviderKind, Trial, TrialError};
-use segwild_flow::{Event, EventRecord, Events, Stopper};
+use segwild_flow::{Event, EventRecord, Events, Stopper, lock};
 use segwild_pipeline::{RunError, RunOptions, Settings, Until, run};
 use segwild_synthetic::{LightVariation, SyntheticOptions};
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// What is to be reached.
 #[derive(Clone, Debug, PartialEq)]
@@ -91,7 +91,7 @@ pub(super) fn train(goal: &Goal, engine: &str, adapter: &str) -> Result<Record, 
     let sink = {
         let (course, stopper, db) = (course.clone(), stopper.clone(), f64::from(goal.db));
         events.sink("goal", move |record| {
-            let mut course = course.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut course = lock(&course);
             course.observe(db, record);
             if course.reached.is_some() {
                 stopper.stop();
@@ -106,7 +106,7 @@ pub(super) fn train(goal: &Goal, engine: &str, adapter: &str) -> Result<Record, 
     }
     drop(sink);
     empty(&goal.dir)?;
-    let course = course.lock().unwrap_or_else(PoisonError::into_inner);
+    let course = lock(&course);
     let mut record = Record {
         protocol: PROTOCOL.into(),
         setting: format!("training, {engine}"),

@@ -3,6 +3,8 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
+use segwild_flow::lock;
+
 /// So many transfers at once.
 const TRANSFERS: usize = 4;
 
@@ -21,7 +23,7 @@ pub(super) fn each<I: Sync, T: Send, E: Send>(
                     let Some(item) = items.get(i) else { break };
                     let result = work(item);
                     failed.fetch_or(result.is_err(), Ordering::Relaxed);
-                    results.lock().unwrap_or_else(|e| e.into_inner()).push((i, result));
+                    lock(&results).push((i, result));
                 }
             });
         }

@@ -2,11 +2,11 @@
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
-use segwild_flow::FileError;
 use segwild_flow::files::{self, Stray, stays_inside};
+use segwild_flow::{FileError, lock};
 
 use super::digest::ArtefactDigest;
 use super::error::ArtefactError;
@@ -43,10 +43,6 @@ pub(super) enum Gone {
     Refused,
     /// Those that were removed since they were listed.
     LeftOut,
-}
-
-fn hold<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
 impl ArtefactSession {
@@ -119,7 +115,7 @@ impl ArtefactSession {
                 Ok(()) => return Ok(FolderEntry { path: found.path.clone(), digest, bytes }),
                 Err(ArtefactError::Changed { .. }) if tries < TRIES => {
                     tries += 1;
-                    hold(&self.hashed).remove(&found.source);
+                    lock(&self.hashed).remove(&found.source);
                 }
                 Err(error) => return Err(error),
             }
@@ -127,11 +123,11 @@ impl ArtefactSession {
     }
 
     pub(super) fn put(&self, digest: &ArtefactDigest, file: &Path) -> Result<(), ArtefactError> {
-        if hold(&self.stored).contains(digest) {
+        if lock(&self.stored).contains(digest) {
             return Ok(());
         }
         self.store.put(digest, file)?;
-        hold(&self.stored).insert(*digest);
+        lock(&self.stored).insert(*digest);
         Ok(())
     }
 
@@ -140,13 +136,13 @@ impl ArtefactSession {
         let failed = |e| FileError::new("read", file, e);
         let data = std::fs::metadata(file).map_err(failed)?;
         let seen = Seen { bytes: data.len(), modified: data.modified().map_err(failed)? };
-        if let Some((_, digest)) = hold(&self.hashed).get(file).filter(|(before, _)| *before == seen) {
+        if let Some((_, digest)) = lock(&self.hashed).get(file).filter(|(before, _)| *before == seen) {
             return Ok((*digest, seen.bytes));
         }
         let (digest, bytes) = ArtefactDigest::of_file(file)?;
         let settled = seen.modified.elapsed().is_ok_and(|age| age > SETTLED);
         if settled && bytes == seen.bytes {
-            hold(&self.hashed).insert(file.to_owned(), (seen, digest));
+            lock(&self.hashed).insert(file.to_owned(), (seen, digest));
         }
         Ok((digest, bytes))
     }

@@ -1,7 +1,9 @@
 //! How a stop of a batch is requested.
 
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
+
+use segwild_flow::lock;
 
 /// How far a stop of a batch is requested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -35,19 +37,19 @@ impl Default for StopBatch {
 impl StopBatch {
     /// Requests at least this level.
     pub fn raise(&self, level: StopLevel) {
-        let mut now = self.0.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut now = lock(&self.0.0);
         *now = level.max(*now);
         self.0.1.notify_all();
     }
 
     /// The level that was requested.
     pub fn level(&self) -> StopLevel {
-        *self.0.0.lock().unwrap_or_else(PoisonError::into_inner)
+        *lock(&self.0.0)
     }
 
     /// Waits so long, but no longer than until more is requested.
     pub(crate) fn wait(&self, time: Duration) {
-        let level = self.0.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let level = lock(&self.0.0);
         let before = *level;
         // A panic elsewhere leaves the level whole.
         drop(self.0.1.wait_timeout_while(level, time, |now| *now == before));

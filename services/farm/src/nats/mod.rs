@@ -21,13 +21,14 @@ mod server;
 
 use std::collections::VecDeque;
 use std::fmt;
-use std::sync::{Mutex, MutexGuard, PoisonError, mpsc};
+use std::sync::{Mutex, MutexGuard, mpsc};
 use std::time::{Duration, Instant};
 
 use async_nats::jetstream::context::CreateStreamErrorKind;
 use async_nats::jetstream::{self, stream};
 use async_nats::{ConnectErrorKind, ConnectOptions};
 use segwild_flow::clock::steady;
+use segwild_flow::lock;
 use serde::{Deserialize, Serialize};
 
 pub use self::address::{FarmAccess, FarmAddress, FarmAddressError};
@@ -174,7 +175,7 @@ impl NatsEngine {
     }
 
     fn lock(&self) -> MutexGuard<'_, Known> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.known)
     }
 
     fn failure(&self, reason: FarmServerError) -> EngineError {

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
-use segwild_flow::files;
+use segwild_flow::{files, lock};
 
 use super::scene::FarmScene;
 use crate::artefacts::{ArtefactDigest, ArtefactError, ArtefactSession};
@@ -80,7 +80,7 @@ impl SceneHost for FarmHost {
     }
 
     fn fetch(&self, lease: &JobLease, scene: &SceneJob) -> Result<(), HostFailure> {
-        *self.used.lock().unwrap_or_else(PoisonError::into_inner).entry(scene.path.clone()).or_default() += 1;
+        *lock(&self.used).entry(scene.path.clone()).or_default() += 1;
         let photos = FarmScene::of_job(&lease.job).map_err(HostFailure::passing)?.photos;
         self.artefacts.fetch_folder(&photos, &scene.path).map_err(failure)?;
         let Some(checkpoint) = &lease.checkpoint else { return Ok(()) };
@@ -107,7 +107,7 @@ impl SceneHost for FarmHost {
     }
 
     fn leave(&self, scene: &SceneJob, may_return: bool) {
-        let mut used = self.used.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut used = lock(&self.used);
         let left = used.get(&scene.path).copied().unwrap_or_default().saturating_sub(1);
         match left {
             0 => drop(used.remove(&scene.path)),

@@ -55,7 +55,7 @@ use crate::events::{EventLevel, EventRecord};
 use crate::fault;
 use crate::files::FileError;
 use crate::key::Key;
-use crate::mutex::lock as hold;
+use crate::lock as hold;
 
 struct Inner {
     path: PathBuf,

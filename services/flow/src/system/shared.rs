@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use crate::control::{Control, Stopper};
 use crate::events::Events;
-use crate::mutex::lock;
+use crate::lock;
 use crate::supervise::ActorCell;
 use crate::timeline::Timeline;
 

@@ -4,7 +4,7 @@
 use crate::artifacts::auto_choice::AutoChoice;
 use crate::artifacts::keys::Keys;
 use crate::{RunError, RunFolder, Settings};
-use segwild_flow::{Cache, CacheError, Key};
+use segwild_flow::{Cache, CacheError, Key, lock};
 use segwild_objective::Engine;
 use segwild_scene::{Mask, PhotoStore, Scene, SceneError};
 use segwild_trainer::{
@@ -13,7 +13,7 @@ use segwild_trainer::{
 };
 use segwild_vision::SkyDetector;
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// Whether a budget may exceed the steps of the settings: the steps were left to the scene, and its photos agree.
 fn beyond(steps_open: bool, appearance: Option<&AppearanceChoice>) -> bool {
@@ -145,7 +145,7 @@ impl Chooser<'_> {
             Ok(TrainPhoto::new(Arc::unwrap_or_clone(loaded), sky))
         };
         let photos = move |view: usize| -> Result<TrainPhoto, Arc<SceneError>> {
-            let mut held = held.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut held = lock(&held);
             held.entry(view).or_insert_with(|| read(view)).clone()
         };
         Arc::new(Sifted { photos, refused: (self.keys)(settings).refused() })

@@ -16,7 +16,7 @@ use crate::output::light;
 use crate::transients::KnownTransients;
 use crate::{RunError, RunFolder, Settings};
 use segwild_flow::ledger::{State, ViewOutcome, ViewRow};
-use segwild_flow::{ActorFailure, Cache, Event, Key, Ledger, Phase, Quarantined, StageProgress};
+use segwild_flow::{ActorFailure, Cache, Event, Key, Ledger, Phase, Quarantined, StageProgress, lock};
 use segwild_masks::MaskMaker;
 use segwild_objective::Engine;
 use segwild_scene::{PhotoStore, Scene, Skipped};
@@ -24,7 +24,7 @@ use segwild_trainer::{Lpips, Model};
 use segwild_vision::{Embedder, PromptSegmenter};
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// What the stages of a run share.
 pub struct RunContext<'a> {
@@ -210,7 +210,7 @@ impl RunContext<'_> {
         let test = |view: &usize| self.scene.views[*view].test;
         let (held_out, training) = self.made.without_sky.iter().copied().partition(test);
         self.keys = self.full_keys.without_skies(&training, &held_out);
-        *self.names.lock().unwrap_or_else(PoisonError::into_inner) = self.keys.clone();
+        *lock(&self.names) = self.keys.clone();
         if self.training_named {
             self.ledger.start_stage(Stage::Geometry.name(), &self.keys.geometry)?;
             self.name_training()?;

@@ -24,11 +24,11 @@ use crate::artifacts::traces::Traces;
 use crate::output::evaluate::HeldOut;
 use crate::transients::TrainFit;
 use crate::{RunError, RunFolder};
-use segwild_flow::{ActorFailure, Cache, Event, Events, Key, Report};
+use segwild_flow::{ActorFailure, Cache, Event, Events, Key, Report, lock};
 use segwild_masks::{MaskMaker, sasm};
 use segwild_scene::Scene;
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// What is left of a run whose own data is freed.
 pub struct ExecutedRun<'a> {
@@ -203,9 +203,7 @@ fn warn_of_damage(cache: &Cache, names: &Arc<Mutex<Keys>>, scene: &Arc<Scene>, e
             "history" | "snapshot" => Stage::Geometry.name(),
             other => other,
         };
-        let photo = names
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
+        let photo = lock(&names)
             .view_of(key)
             .map_or(String::new(), |view| format!(" of photo {}", scene.views[view].name));
         let message = format!("the cache's {kind} record{photo} was damaged ({reason}): it is made again");

@@ -4,17 +4,13 @@ use crate::artifacts::recompute::{CachedArtefact, Recompute};
 use crate::run::view_slots::ViewSlots;
 use crate::{RunError, RunFolder};
 use segwild_flow::ledger::State;
-use segwild_flow::{ActorFailure, Events, Key, Ledger};
+use segwild_flow::{ActorFailure, Events, Key, Ledger, lock};
 use segwild_scene::{Mask, PhotoStore};
 use segwild_vision::SkyDetector;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// The skies that the masks actor finds: which photos have one, and their masks in the cache. A sky that has been
 /// damaged since is found again, and is never taken for a photo without a sky: the keys of what is made from it depend

@@ -1,6 +1,6 @@
 //! Slots in which one actor leaves per-view results that another actor waits for.
 
-use segwild_flow::waiting_for;
+use segwild_flow::{lock, waiting_for};
 use std::collections::BTreeMap;
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Duration;
@@ -22,18 +22,18 @@ impl<T: Clone> ViewSlots<T> {
 
     /// Fills a slot.
     pub fn set(&self, view: usize, value: T) {
-        self.slots.lock().unwrap_or_else(PoisonError::into_inner).insert(view, value);
+        lock(&self.slots).insert(view, value);
         self.filled.notify_all();
     }
 
     /// The content of a slot now.
     pub fn get(&self, view: usize) -> Option<T> {
-        self.slots.lock().unwrap_or_else(PoisonError::into_inner).get(&view).cloned()
+        lock(&self.slots).get(&view).cloned()
     }
 
     /// Waits until the slot is filled; `None` when `stopping` says so first.
     pub fn wait(&self, view: usize, stopping: impl Fn() -> bool) -> Option<T> {
-        let mut slots = self.slots.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut slots = lock(&self.slots);
         let mut _waits = None;
         loop {
             if let Some(value) = slots.get(&view) {

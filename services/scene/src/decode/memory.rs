@@ -3,6 +3,7 @@
 //! The memory that an image takes is known from its head. Photos are decoded by many threads; a thread that finds the budget
 //! used up waits until another is done. An image larger than the budget is decoded alone.
 
+use segwild_files::lock;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 /// Default budget, in bytes.
@@ -18,7 +19,7 @@ static BUDGET: DecodingBudget = DecodingBudget { state: Mutex::new((0, DEFAULT))
 
 impl DecodingBudget {
     fn state(&self) -> MutexGuard<'_, (u64, u64)> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 }
 

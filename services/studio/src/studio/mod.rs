@@ -16,13 +16,13 @@ use crate::messages::{
     RunDescription, ShownPrompts, StateMessage,
 };
 use crate::store::SelectionStore;
-use segwild_flow::Stopper;
+use segwild_flow::{Stopper, lock};
 use segwild_pipeline::{
     Code, ObjectList, RunFolder, Session, SessionOptions, TrainingSnapshot, list_objects,
 };
 use segwild_scene::statistics::upper_median;
 use state::{GrowingAnswer, StudioState};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 use tokio::sync::watch;
 
 impl Studio {
@@ -110,7 +110,7 @@ impl Studio {
 
     /// About how many bytes it takes in memory.
     pub fn bytes(&self) -> usize {
-        let shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
+        let shown = lock(&self.shown);
         let shown: usize = shown.iter().map(|cached| cached.scene.bytes()).sum();
         self.session.bytes() + self.fronts.bytes() + shown
     }

@@ -6,10 +6,11 @@ use crate::fronts::FrontMap;
 use crate::messages::{
     ANSWER_LABEL, FrameRequest, HIDDEN_LABEL, HoverRequest, LabelMap, PickRequest, PickedPixel,
 };
+use segwild_flow::lock;
 use segwild_pipeline::{BlendedAppearance, ShownParts, ShownScene};
 use segwild_scene::{Camera, Image, Mask, NEAR, PointPrompt, Prompts, View};
 use segwild_segmenter::scene_tree::{NONE, TreeQuery};
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 
 /// Quality of JPEGs that are sent to the page.
 const JPEG_QUALITY: u8 = 88;
@@ -147,7 +148,7 @@ impl Studio {
         }
         let mut state = self.state();
         let revision = state.revision;
-        let mut cached = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut cached = lock(&self.shown);
         let same = |c: &&CachedScene| (c.revision, c.marks, c.appearance) == (revision, marks, appearance);
         if let Some(known) = cached.iter().find(same) {
             return Ok(known.scene.clone());

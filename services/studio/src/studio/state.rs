@@ -4,11 +4,11 @@ use crate::document::{Document, DocumentError, Journal, JournalError};
 use crate::fronts::FrontMaps;
 use crate::messages::AnswerMessage;
 use crate::store::SelectionStore;
-use segwild_flow::{FileError, Stopper};
+use segwild_flow::{FileError, Stopper, lock};
 use segwild_pipeline::{ObjectList, RunError, Selected, Session, ShownScene};
 use segwild_scene::SceneError;
 use segwild_segmenter::{NeighbourGraph, SegmentSettings};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 use tokio::sync::watch;
 
 /// Colours of objects, sRGB: apart from one another for most eyes, and from the answer's.
@@ -96,7 +96,7 @@ pub(super) struct CachedScene {
 impl Studio {
     pub(super) fn state(&self) -> MutexGuard<'_, StudioState> {
         // A panic elsewhere leaves a state that is whole: operations are applied after they were written.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 
     pub(super) fn changed(&self, state: &mut StudioState) {

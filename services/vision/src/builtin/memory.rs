@@ -1,7 +1,8 @@
 //! A cache in memory of the values used last, within a number of bytes.
 
+use segwild_files::lock;
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 
 /// A value computed once, or being computed.
 pub(crate) type MemorySlot<T> = Arc<OnceLock<Arc<T>>>;
@@ -20,7 +21,7 @@ impl<T: Weighed> Memory<T> {
 
     /// The slot of a key, new and empty if it is not there; it becomes the newest.
     pub fn slot(&self, key: blake3::Hash) -> MemorySlot<T> {
-        let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut recent = lock(&self.recent);
         let known = recent.iter().position(|(k, _)| *k == key).and_then(|i| recent.remove(i));
         let entry = known.unwrap_or_else(|| (key, MemorySlot::default()));
         let slot = entry.1.clone();
@@ -30,7 +31,7 @@ impl<T: Weighed> Memory<T> {
 
     /// Forgets the oldest values until the others fit.
     pub fn trim(&self) {
-        let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut recent = lock(&self.recent);
         let mut bytes = 0usize;
         let mut first = true;
         recent.retain(|(_, slot)| {
@@ -41,14 +42,14 @@ impl<T: Weighed> Memory<T> {
 
     /// Whether so many values as large as the largest there is would fit.
     pub fn has_space_for(&self, many: usize) -> bool {
-        let recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
+        let recent = lock(&self.recent);
         let largest = recent.iter().filter_map(|(_, slot)| slot.get()).map(|v| v.bytes()).max();
         largest.unwrap_or(0).saturating_mul(many) <= self.limit
     }
 
     #[cfg(test)]
     fn count(&self) -> usize {
-        self.recent.lock().unwrap_or_else(PoisonError::into_inner).len()
+        lock(&self.recent).len()
     }
 }
 

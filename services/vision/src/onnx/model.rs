@@ -5,9 +5,10 @@ use crate::VisionError;
 use crate::model_file::inspect;
 use ort::session::{RunOptions, Session, SessionInputValue};
 use ort::value::{Outlet, TensorElementType};
+use segwild_files::lock;
 use std::path::Path;
+use std::sync::Mutex;
 use std::sync::mpsc;
-use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 /// Where a network computes.
@@ -140,7 +141,7 @@ impl NetworkModel {
         on: &str,
     ) -> Result<Vec<NetworkOutput>, VisionError> {
         let failed = |e: ort::Error| self.wrong(format!("fails on {on}: {}", plain(&e.to_string())));
-        let mut session = self.session.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut session = lock(&self.session);
         let mut options = RunOptions::new().map_err(failed)?;
         options.set_log_level(ort::logging::LogLevel::Fatal).map_err(failed)?;
         // A file from an untrusted source may hold an endless loop.

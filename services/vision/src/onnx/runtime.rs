@@ -4,8 +4,9 @@ use crate::VisionError;
 use ort::AsPointer;
 use ort::environment::Environment;
 use ort::ep::ExecutionProvider;
+use segwild_files::lock;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 /// The loaded runtime. There is one per process: the first one found serves until the end.
 #[derive(Clone)]
@@ -30,7 +31,7 @@ impl Runtime {
     /// As [`Runtime::find`]; all networks together may hold that many MiB on the CPU. The first call that loads the runtime sets
     /// the limit.
     pub(crate) fn find_within(path: &str, memory_mib: u32) -> Result<Runtime, VisionError> {
-        let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut loaded = lock(&LOADED);
         if let Some(runtime) = &*loaded {
             return Ok(runtime.clone());
         }

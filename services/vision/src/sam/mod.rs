@@ -25,9 +25,10 @@ use frame::PhotoFit;
 use logits::{Logits, Upscale, choose, stability};
 use prompt::{Labelled, PromptGroup};
 pub(crate) use refine::{bounds, middle};
+use segwild_files::lock;
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask, sigmoid};
 use std::ops::Range;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// Changes whenever the same files would give other bytes for the same photo.
@@ -128,7 +129,7 @@ impl Sam {
         check(image)?;
         let key = content(image);
         let slot = self.embeddings.slot(key);
-        let _alone = self.encoding.lock().unwrap_or_else(PoisonError::into_inner);
+        let _alone = lock(&self.encoding);
         if let Some(known) = slot.get() {
             return Ok((known.clone(), key));
         }
@@ -144,7 +145,7 @@ impl Sam {
     }
 
     fn count(&self, add: impl FnOnce(&mut Work)) {
-        add(&mut self.work.lock().unwrap_or_else(PoisonError::into_inner));
+        add(&mut lock(&self.work));
     }
 
     /// How the decoder's logits lie over a photo.
@@ -263,7 +264,7 @@ impl MaskProposer for Sam {
     }
 
     fn work(&self) -> Option<Work> {
-        Some(*self.work.lock().unwrap_or_else(PoisonError::into_inner))
+        Some(*lock(&self.work))
     }
 }
 

@@ -13,10 +13,11 @@ use crate::{
     Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, TransientDetector, VisionError, Work,
 };
 use futures_util::stream;
+use segwild_files::lock;
 use segwild_proto::Token;
 use segwild_proto::v1::{self, Capability, PixelFormat};
 use segwild_scene::{BoxPrompt, Embedding, Image, Mask, PointPrompt, Prompts, ScoredMask};
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::{Arc, Mutex, mpsc};
 use std::time::Instant;
 use tonic::{Code, Status, Streaming};
 
@@ -172,7 +173,7 @@ impl RemoteVision {
     }
 
     fn count(&self, add: impl FnOnce(&mut Work)) {
-        add(&mut self.work.lock().unwrap_or_else(PoisonError::into_inner));
+        add(&mut lock(&self.work));
     }
 
     fn prompt(&self, image: &Image, prompts: &Prompts) -> Result<Prompted, VisionError> {
@@ -259,7 +260,7 @@ impl MaskProposer for RemoteVision {
     }
 
     fn work(&self) -> Option<Work> {
-        Some(*self.work.lock().unwrap_or_else(PoisonError::into_inner))
+        Some(*lock(&self.work))
     }
 }
 

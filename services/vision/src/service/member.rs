@@ -1,11 +1,12 @@
 //! One service of several: its connection, its slots, and whether it is there.
 
 use crate::service_address::ServiceAddress;
+use segwild_files::lock;
 use segwild_proto::Token;
 use segwild_proto::v1::vision_client::VisionClient;
 use segwild_proto::v1::{self, Capability, PixelFormat};
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 use std::time::{Duration, Instant};
 use tokio::sync::Semaphore;
 use tonic::metadata::{Ascii, MetadataValue};
@@ -105,7 +106,7 @@ impl Member {
     }
 
     fn health(&self) -> MutexGuard<'_, Health> {
-        self.health.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.health)
     }
 
     pub fn client(&self) -> Client {

@@ -1,9 +1,10 @@
 //! The order in which calls get the slots of services.
 
+use segwild_files::lock;
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 use tokio::sync::Notify;
 
@@ -66,7 +67,7 @@ impl Drop for Position<'_> {
 
 impl CallQueue {
     fn waiting(&self) -> MutexGuard<'_, BTreeSet<Ticket>> {
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.waiting)
     }
 
     /// Calls that wait now.
