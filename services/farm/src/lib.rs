@@ -44,6 +44,7 @@ mod log;
 mod machine;
 mod manifest;
 mod nats;
+mod pending;
 mod submit;
 mod table;
 mod transition;

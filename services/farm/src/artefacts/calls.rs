@@ -1,28 +1,14 @@
-//! StoreCalls of async clients from threads that run no async task.
-
-use std::sync::mpsc;
+//! Calls of async clients from threads that run no async task.
 
 use tokio::runtime::{Builder, Handle, Runtime};
+
+use crate::pending::{Pending, ShutDown};
 
 /// A runtime for the client of a store: its own, or one that its caller keeps.
 #[derive(Debug)]
 pub(super) struct StoreCalls {
     handle: Handle,
     own: Option<Runtime>,
-}
-
-/// The runtime was shut down before the call ended.
-#[derive(Debug, thiserror::Error)]
-#[error("the program is shutting down")]
-pub(super) struct ShutDown;
-
-/// A call under way.
-pub(super) struct Pending<T>(mpsc::Receiver<T>);
-
-impl<T> Pending<T> {
-    pub fn wait(self) -> Result<T, ShutDown> {
-        self.0.recv().map_err(|_| ShutDown)
-    }
 }
 
 impl StoreCalls {
@@ -39,9 +25,7 @@ impl StoreCalls {
     }
 
     pub fn start<T: Send + 'static>(&self, future: impl Future<Output = T> + Send + 'static) -> Pending<T> {
-        let (send, receive) = mpsc::channel();
-        self.handle.spawn(async move { send.send(future.await) });
-        Pending(receive)
+        Pending::start(&self.handle, future)
     }
 
     pub fn wait<T: Send + 'static>(

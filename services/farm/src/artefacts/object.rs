@@ -10,12 +10,13 @@ use object_store::local::LocalFileSystem;
 use object_store::path::Path;
 use object_store::{MultipartUpload, ObjectStore, ObjectStoreExt, PutMode, PutPayload};
 
-use super::calls::{ShutDown, StoreCalls};
+use super::calls::StoreCalls;
 use super::digest::ArtefactDigest;
 use super::error::ArtefactError;
 use super::http::HyperConnector;
 use super::store::ArtefactStore;
 use super::transfer::{Outgoing, receive};
+use crate::pending::ShutDown;
 
 /// Bytes of a part; two are in memory at once. S3 takes no less than 5 MiB.
 const PART: usize = 6 << 20;

@@ -21,7 +21,7 @@ mod server;
 
 use std::collections::VecDeque;
 use std::fmt;
-use std::sync::{Mutex, MutexGuard, mpsc};
+use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use async_nats::jetstream::context::CreateStreamErrorKind;
@@ -40,6 +40,7 @@ use self::server::{Appended, LogServer, REQUEST_TIMEOUT, RequestError, persist};
 use crate::artefacts::{ArtefactError, JetStreamArtefacts};
 use crate::engine::{ChangeKind, EngineError, JobChange};
 use crate::log::TransitionLog;
+use crate::pending::Pending;
 use crate::table::{Decision, JobTable};
 use crate::transition::Transition;
 
@@ -468,9 +469,8 @@ fn wait<T: Send + 'static>(
     runtime: &tokio::runtime::Runtime,
     future: impl Future<Output = Result<T, FarmServerError>> + Send + 'static,
 ) -> Result<T, FarmServerError> {
-    let (send, receive) = mpsc::channel();
-    runtime.spawn(async move { send.send(future.await) });
-    receive.recv().unwrap_or_else(|_| Err(FarmServerError::Ended))
+    let pending = Pending::start(runtime.handle(), future);
+    pending.wait().unwrap_or_else(|_| Err(FarmServerError::Ended))
 }
 
 /// Connects, and makes the farm's log where there is none.
