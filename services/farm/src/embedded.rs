@@ -76,7 +76,7 @@ impl EmbeddedEngine {
     /// As [`EmbeddedEngine::open`].
     pub fn with_clock(path: impl Into<PathBuf>, clock: Arc<dyn JobClock>) -> Result<Self, EngineError> {
         let path = path.into();
-        let error = |e| store(&path, &e);
+        let error = |e| store(&path, e);
         let mut connection = Connection::open(&path).map_err(error)?;
         connection.busy_timeout(Duration::from_secs(10)).map_err(error)?;
         connection.pragma_update(None, "journal_mode", "WAL").map_err(error)?;
@@ -106,15 +106,15 @@ impl EmbeddedEngine {
             return Err(EngineError::Missing { path });
         }
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-        let connection = Connection::open_with_flags(&path, flags).map_err(|e| store(&path, &e))?;
-        connection.busy_timeout(Duration::from_secs(10)).map_err(|e| store(&path, &e))?;
+        let connection = Connection::open_with_flags(&path, flags).map_err(|e| store(&path, e))?;
+        connection.busy_timeout(Duration::from_secs(10)).map_err(|e| store(&path, e))?;
         Self::checked(path, connection, Arc::new(SystemClock))
     }
 
     fn checked(path: PathBuf, connection: Connection, clock: Arc<dyn JobClock>) -> Result<Self, EngineError> {
         let found: i64 = connection
             .pragma_query_value(None, "user_version", |row| row.get(0))
-            .map_err(|e| store(&path, &e))?;
+            .map_err(|e| store(&path, e))?;
         if found != VERSION {
             return Err(EngineError::Version { path, found, known: VERSION });
         }
@@ -123,7 +123,7 @@ impl EmbeddedEngine {
 
     fn read<T>(&self, query: impl FnOnce(&Connection) -> rusqlite::Result<T>) -> Result<T, EngineError> {
         let held = lock(&self.store);
-        query(&held.connection).map_err(|e| store(&self.path, &e))
+        query(&held.connection).map_err(|e| store(&self.path, e))
     }
 }
 
@@ -150,7 +150,7 @@ impl TransitionLog for EmbeddedEngine {
             t.commit()?;
             Ok((version, table, decision.answer, jump.seconds))
         };
-        let (version, table, answer, jump) = run().map_err(|e| store(&self.path, &e))?;
+        let (version, table, answer, jump) = run().map_err(|e| store(&self.path, e))?;
         held.jumped.extend(jump);
         let result = answer.map(|answer| then(&table, answer));
         held.seen = Some((version, table));
@@ -163,7 +163,7 @@ impl TransitionLog for EmbeddedEngine {
         let seen = held.seen.take();
         // One view of the file for all queries.
         let view = || current(&*held.connection.unchecked_transaction()?, seen);
-        let (version, table) = view().map_err(|e| store(&self.path, &e))?;
+        let (version, table) = view().map_err(|e| store(&self.path, e))?;
         let result = read(&table);
         held.seen = Some((version, table));
         Ok(result)
@@ -204,8 +204,8 @@ impl TransitionLog for EmbeddedEngine {
     }
 }
 
-fn store(path: &Path, error: &rusqlite::Error) -> EngineError {
-    EngineError::Store { path: path.to_path_buf(), reason: error.to_string() }
+fn store(path: &Path, error: rusqlite::Error) -> EngineError {
+    EngineError::Store { path: path.to_path_buf(), reason: Box::new(error) }
 }
 
 /// The table as the file has it, with the file's version: read again where another handle has written since.

@@ -192,7 +192,8 @@ pub enum EngineError {
         /// The file.
         path: PathBuf,
         /// What it says.
-        reason: String,
+        #[source]
+        reason: Box<dyn std::error::Error + Send + Sync>,
     },
 }
 

@@ -52,8 +52,9 @@ mod turn;
 mod worker;
 
 pub use artefacts::{
-    ArtefactDigest, ArtefactError, ArtefactSession, ArtefactStore, DigestError, FolderEntry, FolderLimits,
-    FolderManifest, FolderManifestError, JetStreamArtefacts, ObjectArtefacts,
+    ArtefactDigest, ArtefactError, ArtefactSession, ArtefactStore, DigestError, FetchedFolderError,
+    FolderEntry, FolderLimits, FolderManifest, FolderManifestError, JetStreamArtefacts, ObjectArtefacts,
+    StoreAddressError, UnfitFolderError,
 };
 pub use batch::{BatchError, BatchFolder, BatchOptions, BatchRecord, BatchSummary};
 pub use clock::{JobClock, SimulatedClock, SystemClock};

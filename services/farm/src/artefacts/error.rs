@@ -7,6 +7,7 @@ use segwild_flow::process::Owner;
 use segwild_flow::{FileError, LedgerError};
 
 use super::digest::ArtefactDigest;
+use super::manifest::FolderManifestError;
 
 /// Why an artefact was not stored or fetched.
 #[derive(Debug, thiserror::Error)]
@@ -19,7 +20,8 @@ pub enum ArtefactError {
         /// As it was given.
         address: String,
         /// What is wrong with it.
-        reason: String,
+        #[source]
+        reason: StoreAddressError,
     },
     /// The store does not have it.
     #[error(
@@ -67,7 +69,8 @@ pub enum ArtefactError {
         /// Which manifest.
         digest: ArtefactDigest,
         /// What is wrong with it.
-        reason: String,
+        #[source]
+        reason: FetchedFolderError,
     },
     /// A folder that cannot be stored.
     #[error("{} cannot be stored: {reason}", path.display())]
@@ -75,7 +78,8 @@ pub enum ArtefactError {
         /// The folder, or the entry of it.
         path: PathBuf,
         /// Why.
-        reason: String,
+        #[source]
+        reason: UnfitFolderError,
     },
     /// The run folder is in use.
     #[error("the run {} is in use by {owner}; wait for it or stop it", path.display())]
@@ -94,6 +98,72 @@ pub enum ArtefactError {
     /// The ledger of a run.
     #[error(transparent)]
     Ledger(#[from] LedgerError),
+}
+
+/// Why an address is none of a store of artefacts.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreAddressError {
+    /// An address of S3 without a bucket.
+    #[error("it names no bucket")]
+    NoBucket,
+    /// An address that is neither a folder's nor of S3.
+    #[error("it is of another kind")]
+    OtherKind,
+    /// No text at all.
+    #[error("it is empty")]
+    Empty,
+    /// The store's client refuses it, or what the environment says of it.
+    #[error("{0}")]
+    Client(#[source] Box<dyn std::error::Error + Send + Sync>),
+    /// The folder is not there and cannot be made.
+    #[error("the folder cannot be made: {0}")]
+    Folder(#[source] std::io::Error),
+    /// The system starts no thread for the store's client.
+    #[error("no thread can be started: {0}")]
+    Thread(#[source] std::io::Error),
+    /// The client of the farm's servers, which keep the store, has ended.
+    #[error("the client has ended")]
+    Ended,
+}
+
+/// Why a folder that was fetched is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum FetchedFolderError {
+    /// Its manifest cannot be read from the disk.
+    #[error("its manifest cannot be read: {0}")]
+    Unread(#[source] std::io::Error),
+    /// Its manifest is refused.
+    #[error(transparent)]
+    Manifest(#[from] FolderManifestError),
+    /// It was to be a run.
+    #[error("it has no ledger: it is no run")]
+    NoLedger,
+    /// A run has a file, named as it is safe to show, that would not have been stored with it.
+    #[error("`{0}` is no file of a run that goes to another machine")]
+    OtherFile(String),
+}
+
+/// Why a folder cannot be stored.
+#[derive(Debug, thiserror::Error)]
+pub enum UnfitFolderError {
+    /// Links form a circle.
+    #[error("it is a link to a folder in which it lies")]
+    Circle,
+    /// A name of other bytes than text.
+    #[error("its name is not Unicode: rename it")]
+    Name,
+    /// A path that no manifest takes, and what is wrong with it.
+    #[error("its path {0}")]
+    Path(&'static str),
+    /// Too many files: more than this.
+    #[error("it has more than {0} files")]
+    Files(usize),
+    /// Its manifest is refused.
+    #[error(transparent)]
+    Manifest(#[from] FolderManifestError),
+    /// Its manifest has too many bytes.
+    #[error("its list of files has {0} bytes")]
+    Listing(usize),
 }
 
 impl ArtefactError {

@@ -39,11 +39,16 @@ impl HttpConnector for HyperConnector {
         }
         let tls = encrypted(tcp).map_err(|source| object_store::Error::Generic {
             store: "S3",
-            source: format!("the system's certificates cannot be read: {source}").into(),
+            source: NoCertificates(source).into(),
         })?;
         Ok(client(tls))
     }
 }
+
+/// Without certificates there is no HTTPS.
+#[derive(Debug, thiserror::Error)]
+#[error("the system's certificates cannot be read: {0}")]
+struct NoCertificates(#[source] io::Error);
 
 fn encrypted(tcp: Tcp) -> io::Result<HttpsConnector<Tcp>> {
     let provider = Arc::new(rustls::crypto::ring::default_provider());

@@ -35,14 +35,14 @@ impl Default for FolderLimits {
 }
 
 /// Why a manifest is refused.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, thiserror::Error)]
 pub enum FolderManifestError {
     /// Its text is too long.
     #[error("its manifest has more than {0} bytes")]
     Long(u64),
     /// Its text is no manifest.
     #[error("its manifest cannot be read: {0}")]
-    Text(String),
+    Text(#[source] serde_json::Error),
     /// It is of another version.
     #[error("it has format {0}, and this program knows format {FORMAT}")]
     Format(u32),
@@ -96,9 +96,10 @@ pub struct FolderEntry {
 /// use segwild_farm::{ArtefactDigest, FolderEntry, FolderLimits, FolderManifest};
 /// let entry = |path: &str| FolderEntry { path: path.into(), digest: ArtefactDigest::of(b"x"), bytes: 1 };
 /// let manifest = FolderManifest::new(vec![entry("sparse/0/images.bin"), entry("a.jpg")]);
-/// assert_eq!(FolderManifest::parse(&manifest.to_json(), &FolderLimits::default()), Ok(manifest));
+/// assert_eq!(FolderManifest::parse(&manifest.to_json(), &FolderLimits::default())?, manifest);
 /// let evil = FolderManifest::new(vec![entry("../../.ssh/authorized_keys")]);
 /// assert!(FolderManifest::parse(&evil.to_json(), &FolderLimits::default()).is_err());
+/// # Ok::<(), segwild_farm::FolderManifestError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -133,8 +134,7 @@ impl FolderManifest {
         if json.len() as u64 > limits.manifest_bytes {
             return Err(FolderManifestError::Long(limits.manifest_bytes));
         }
-        let manifest: Self =
-            serde_json::from_slice(json).map_err(|e| FolderManifestError::Text(e.to_string()))?;
+        let manifest: Self = serde_json::from_slice(json).map_err(FolderManifestError::Text)?;
         manifest.check(limits)?;
         Ok(manifest)
     }

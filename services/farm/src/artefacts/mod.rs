@@ -39,7 +39,7 @@ mod transfer;
 mod walk;
 
 pub use digest::{ArtefactDigest, DigestError};
-pub use error::ArtefactError;
+pub use error::{ArtefactError, FetchedFolderError, StoreAddressError, UnfitFolderError};
 pub use jetstream::JetStreamArtefacts;
 pub use manifest::{FolderEntry, FolderLimits, FolderManifest, FolderManifestError};
 pub use object::ObjectArtefacts;

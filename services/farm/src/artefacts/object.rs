@@ -12,7 +12,7 @@ use object_store::{MultipartUpload, ObjectStore, ObjectStoreExt, PutMode, PutPay
 
 use super::calls::StoreCalls;
 use super::digest::ArtefactDigest;
-use super::error::ArtefactError;
+use super::error::{ArtefactError, StoreAddressError};
 use super::http::HyperConnector;
 use super::store::ArtefactStore;
 use super::transfer::{Outgoing, receive};
@@ -50,24 +50,25 @@ impl ObjectArtefacts {
     /// # Errors
     /// When the address or the environment makes no sense, or the folder cannot be made.
     pub fn open(address: &str) -> Result<Self, ArtefactError> {
-        let wrong = |reason: String| ArtefactError::Address { address: address.to_owned(), reason };
+        let wrong = |reason| ArtefactError::Address { address: address.to_owned(), reason };
         let (store, prefix): (Arc<dyn ObjectStore>, Path) = match address.split_once("://") {
             Some(("s3", rest)) => {
                 let (bucket, prefix) = rest.split_once('/').unwrap_or((rest, ""));
                 if bucket.is_empty() || bucket.contains(['@', '?', '#']) {
-                    return Err(wrong("it names no bucket".into()));
+                    return Err(wrong(StoreAddressError::NoBucket));
                 }
-                let prefix = Path::parse(prefix).map_err(|e| wrong(e.to_string()))?;
-                (Arc::new(bucket_of(bucket).map_err(|e| wrong(e.to_string()))?), prefix)
+                let prefix = Path::parse(prefix).map_err(|e| wrong(StoreAddressError::Client(e.into())))?;
+                let bucket = bucket_of(bucket).map_err(|e| wrong(StoreAddressError::Client(e.into())))?;
+                (Arc::new(bucket), prefix)
             }
             Some(("file", folder)) if folder.starts_with('/') => {
                 (folder_at(folder, &wrong)?, Path::default())
             }
-            Some(_) => return Err(wrong("it is of another kind".into())),
-            None if address.is_empty() => return Err(wrong("it is empty".into())),
+            Some(_) => return Err(wrong(StoreAddressError::OtherKind)),
+            None if address.is_empty() => return Err(wrong(StoreAddressError::Empty)),
             None => (folder_at(address, &wrong)?, Path::default()),
         };
-        let calls = StoreCalls::own().map_err(|e| wrong(format!("no thread can be started: {e}")))?;
+        let calls = StoreCalls::own().map_err(|e| wrong(StoreAddressError::Thread(e)))?;
         Ok(Self { name: address.to_owned(), store, prefix, calls })
     }
 
@@ -153,11 +154,12 @@ impl ObjectArtefacts {
 
 fn folder_at(
     folder: &str,
-    wrong: &impl Fn(String) -> ArtefactError,
+    wrong: &impl Fn(StoreAddressError) -> ArtefactError,
 ) -> Result<Arc<dyn ObjectStore>, ArtefactError> {
     let made = std::fs::create_dir_all(FilePath::new(folder));
-    made.map_err(|e| wrong(format!("the folder cannot be made: {e}")))?;
-    let store = LocalFileSystem::new_with_prefix(folder).map_err(|e| wrong(e.to_string()))?;
+    made.map_err(|e| wrong(StoreAddressError::Folder(e)))?;
+    let store = LocalFileSystem::new_with_prefix(folder);
+    let store = store.map_err(|e| wrong(StoreAddressError::Client(e.into())))?;
     Ok(Arc::new(store.with_fsync(true)))
 }
 

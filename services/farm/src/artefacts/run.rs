@@ -8,7 +8,7 @@ use segwild_flow::process::{Lock, LockError};
 use segwild_flow::{FileError, Ledger};
 
 use super::digest::ArtefactDigest;
-use super::error::ArtefactError;
+use super::error::{ArtefactError, FetchedFolderError};
 use super::manifest::FolderEntry;
 use super::session::{ArtefactSession, Gone};
 use super::walk::{self, FoundFile};
@@ -178,10 +178,10 @@ impl ArtefactSession {
         let refused = |reason| ArtefactError::Manifest { digest: *digest, reason };
         let (ledger, others): (Vec<&FolderEntry>, Vec<&FolderEntry>) =
             manifest.files().iter().partition(|entry| entry.path == LEDGER);
-        let [ledger] = ledger[..] else { return Err(refused("it has no ledger: it is no run".into())) };
+        let [ledger] = ledger[..] else { return Err(refused(FetchedFolderError::NoLedger)) };
         if let Some(entry) = others.iter().find(|entry| !goes_with_run(&entry.path)) {
             let path = files::name::one_line(&entry.path).into_owned();
-            return Err(refused(format!("`{path}` is no file of a run that goes to another machine")));
+            return Err(refused(FetchedFolderError::OtherFile(path)));
         }
         let others: Vec<FolderEntry> = others.into_iter().cloned().collect();
         self.fetch_files(&others, into)?;

@@ -9,7 +9,7 @@ use segwild_flow::files::{self, Stray, stays_inside};
 use segwild_flow::{FileError, lock};
 
 use super::digest::ArtefactDigest;
-use super::error::ArtefactError;
+use super::error::{ArtefactError, FetchedFolderError, UnfitFolderError};
 use super::manifest::{FolderEntry, FolderLimits, FolderManifest};
 use super::parallel::each;
 use super::store::ArtefactStore;
@@ -154,10 +154,10 @@ impl ArtefactSession {
     ) -> Result<ArtefactDigest, ArtefactError> {
         let manifest = FolderManifest::new(entries);
         let unfit = |reason| ArtefactError::Unfit { path: folder.to_owned(), reason };
-        manifest.check(&self.limits).map_err(|e| unfit(e.to_string()))?;
+        manifest.check(&self.limits).map_err(|e| unfit(e.into()))?;
         let json = manifest.to_json();
         if json.len() as u64 > self.limits.manifest_bytes {
-            return Err(unfit(format!("its list of files has {} bytes", json.len())));
+            return Err(unfit(UnfitFolderError::Listing(json.len())));
         }
         let digest = ArtefactDigest::of(&json);
         let file = std::env::temp_dir().join(files::unique_name(".segwild-manifest"));
@@ -180,8 +180,8 @@ impl ArtefactSession {
         // It was ours alone.
         let _ = std::fs::remove_file(&file);
         let refused = |reason| ArtefactError::Manifest { digest: *digest, reason };
-        let json = read.map_err(|e| refused(format!("its manifest cannot be read: {e}")))?;
-        FolderManifest::parse(&json, &self.limits).map_err(|e| refused(e.to_string()))
+        let json = read.map_err(|e| refused(FetchedFolderError::Unread(e)))?;
+        FolderManifest::parse(&json, &self.limits).map_err(|e| refused(e.into()))
     }
 
     pub(super) fn fetch_files(&self, entries: &[FolderEntry], into: &Path) -> Result<(), ArtefactError> {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use segwild_flow::FileError;
 
-use super::error::ArtefactError;
+use super::error::{ArtefactError, UnfitFolderError};
 use super::manifest::{FolderLimits, fit};
 
 /// A file that was found.
@@ -35,13 +35,13 @@ pub(super) fn files(
     limits: &FolderLimits,
     wanted: &dyn Fn(&str) -> bool,
 ) -> Result<Vec<FoundFile>, ArtefactError> {
-    let unfit = |path: &Path, reason: &str| ArtefactError::Unfit { path: path.into(), reason: reason.into() };
+    let unfit = |path: &Path, reason| ArtefactError::Unfit { path: path.into(), reason };
     let mut found = Vec::new();
     let mut open = vec![Open { above: Vec::new(), folder: top.to_owned(), prefix: String::new() }];
     while let Some(Open { mut above, folder, prefix }) = open.pop() {
         let real = fs::canonicalize(&folder).map_err(|e| FileError::new("read", &folder, e))?;
         if above.contains(&real) {
-            return Err(unfit(&folder, "it is a link to a folder in which it lies"));
+            return Err(unfit(&folder, UnfitFolderError::Circle));
         }
         above.push(real);
         for entry in fs::read_dir(&folder).map_err(|e| FileError::new("read", &folder, e))? {
@@ -58,16 +58,16 @@ pub(super) fn files(
                 continue;
             }
             if name.to_str().is_none() {
-                return Err(unfit(&source, "its name is not Unicode: rename it"));
+                return Err(unfit(&source, UnfitFolderError::Name));
             }
-            fit(&path, limits.depth).map_err(|reason| unfit(&source, &format!("its path {reason}")))?;
+            fit(&path, limits.depth).map_err(|reason| unfit(&source, UnfitFolderError::Path(reason)))?;
             if data.is_dir() {
                 open.push(Open { above: above.clone(), folder: source, prefix: path + "/" });
                 continue;
             }
             found.push(FoundFile { path, source });
             if found.len() > limits.files {
-                return Err(unfit(top, &format!("it has more than {} files", limits.files)));
+                return Err(unfit(top, UnfitFolderError::Files(limits.files)));
             }
         }
     }

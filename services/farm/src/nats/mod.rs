@@ -37,7 +37,7 @@ use self::error::FarmServerError;
 pub use self::record::FarmKey;
 use self::record::{LogRecord, LogRecordError};
 use self::server::{Appended, LogServer, REQUEST_TIMEOUT, RequestError, persist};
-use crate::artefacts::{ArtefactError, JetStreamArtefacts};
+use crate::artefacts::{ArtefactError, JetStreamArtefacts, StoreAddressError};
 use crate::engine::{ChangeKind, EngineError, JobChange};
 use crate::log::TransitionLog;
 use crate::pending::Pending;
@@ -158,7 +158,7 @@ impl NatsEngine {
         let bucket = format!("SEGWILD_{}_ARTEFACTS", self.address.name());
         let handle = self.runtime.as_ref().map(|runtime| runtime.handle().clone());
         let Some(handle) = handle else {
-            return Err(ArtefactError::Address { address: bucket, reason: "the client has ended".into() });
+            return Err(ArtefactError::Address { address: bucket, reason: StoreAddressError::Ended });
         };
         JetStreamArtefacts::open(self.server.context.clone(), &bucket, handle)
     }
