@@ -8,12 +8,11 @@ use segwild_eval::record::{Provenance, Record, Results, means};
 use segwild_eval::stamp;
 use segwild_eval::trial::TrialError;
 use segwild_flow::{cpu, files};
-use segwild_pipeline::{
-    HeldOut, Loaded, RunFolder, RunOptions, Settings, Summary, Until, held_out_render, run,
-};
-use segwild_scene::{HoldOut, Image, Mask, Scene, SceneSettings};
+use segwild_pipeline::{HeldOut, RunFolder, RunOptions, Settings, Summary, Until, held_out_render, run};
+use segwild_scene::{HoldOut, Image, Mask, PhotoStore, Scene, SceneSettings};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// The protocol under which everything here is recorded.
@@ -141,8 +140,10 @@ fn one(options: &ReconstructionOptions, path: &Path, size: u32, seed: u64) -> Re
     );
     whole.notes.push(held_out.protocol.clone());
     let mut records = vec![whole];
-    let shown = shown(&folder, &loaded, &held_out);
-    for (object, score) in in_boxes(path, &loaded.scene, &shown) {
+    // Each photo is read once: none is kept.
+    let store = PhotoStore::new(Arc::new(loaded.scene), loaded.settings.scene.size, 0);
+    let shown = shown(&folder, &store, &held_out);
+    for (object, score) in in_boxes(path, store.scene(), &shown) {
         records.push(record(&object, &[("psnr", score)]));
     }
     let image = options.out.join(image_of(&name_of(path), f64::from(size), seed));
@@ -169,14 +170,13 @@ struct Shown {
     render: Image,
 }
 
-fn shown(folder: &RunFolder, loaded: &Loaded, held_out: &HeldOut) -> Vec<Shown> {
+fn shown(folder: &RunFolder, store: &PhotoStore, held_out: &HeldOut) -> Vec<Shown> {
     let mut all = Vec::new();
     for score in &held_out.photos {
-        let Some(view) = loaded.scene.views.iter().position(|v| v.name == score.photo) else { continue };
+        let Some(view) = store.scene().views.iter().position(|v| v.name == score.photo) else { continue };
         let Ok(file) = held_out_render(folder, &score.photo) else { continue };
-        let photo = loaded.scene.views[view].load(loaded.settings.scene.size);
-        if let (Ok(photo), Ok(render)) = (photo, Image::read(&file)) {
-            all.push(Shown { view, photo: photo.image, render });
+        if let (Ok(photo), Ok(render)) = (store.read(view), Image::read(&file)) {
+            all.push(Shown { view, photo: Arc::unwrap_or_clone(photo).image, render });
         }
     }
     all

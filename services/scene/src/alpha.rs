@@ -63,6 +63,7 @@ fn to_look_at(views: &[View]) -> Vec<&View> {
 
 fn are_cut_outs(looked_at: &[&View]) -> bool {
     let opaque = |view: &&View| -> Result<Mask, SceneError> {
+        // The scene is still being opened: there is no store of its photos yet, and later none at this size.
         let loaded = view.load(SIZE)?;
         let all = || Mask::full(loaded.camera.width, loaded.camera.height);
         Ok(loaded.empty.map_or_else(all, |empty| empty.not()))

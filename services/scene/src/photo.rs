@@ -62,7 +62,8 @@ pub fn load_photo(path: &Path, long_side: u32) -> Result<Image, SceneError> {
 
 impl View {
     /// Decodes the photo, undistorted and scaled down so that its long side is at most `long_side` (never
-    /// enlarged).
+    /// enlarged). A [`PhotoStore`](crate::PhotoStore) decodes by it, and is what reads photos at the size of a run; whoever calls
+    /// this directly needs a photo once at a size of its own.
     ///
     /// # Errors
     /// Also when the photo is not the file any more that it was when the scene was opened.

@@ -87,6 +87,10 @@ impl Session {
     /// # Errors
     /// When it cannot be read any more.
     pub fn photo(&self, view: usize, long_side: u32) -> Result<Image, RunError> {
+        if long_side == self.size() {
+            return Ok(self.photos.read(view)?.image.clone());
+        }
+        // The store has photos at working size alone.
         Ok(self.scene.views[view].load(long_side)?.image)
     }
 
@@ -111,8 +115,8 @@ impl Session {
     /// # Errors
     /// When the photo cannot be read, or the provider fails.
     pub fn candidate_mask(&self, view: usize, prompts: &Prompts) -> Result<Mask, RunError> {
-        let photo = self.photo(view, self.size())?;
-        Ok(self.providers.segmenter.segment(&photo, prompts)?.mask)
+        let photo = self.photos.read(view)?;
+        Ok(self.providers.segmenter.segment(&photo.image, prompts)?.mask)
     }
 
     /// Prompts on a photo as it is shown (undistorted, at full size), as prompts on the photo as taken. `None` where a position

@@ -2,7 +2,7 @@
 
 use super::html::{self, ChartSeries};
 use super::objects;
-use super::shown::{SHOWN, pass, spread};
+use super::shown::{SHOWN, pass, small_photo, spread};
 use crate::artifacts::auto_choice::AutoChoice;
 use crate::artifacts::folder::Loaded;
 use crate::artifacts::history::{self, Moment};
@@ -185,8 +185,8 @@ fn fits(folder: &RunFolder, loaded: &Loaded) -> String {
 
 /// A held-out photo beside its render; nothing where one of the two cannot be read.
 fn held_out_beside_render(folder: &RunFolder, loaded: &Loaded, score: &HeldOutScore) -> String {
-    let view = loaded.scene.views.iter().find(|v| v.name == score.photo);
-    let photo = view.and_then(|v| v.load(loaded.settings.scene.size.min(SHOWN)).ok());
+    let view = loaded.scene.views.iter().position(|v| v.name == score.photo);
+    let photo = view.and_then(|view| small_photo(loaded, view).ok());
     let render = held_out_render(folder, &score.photo).ok().and_then(|file| Image::read(&file).ok());
     let (Some(photo), Some(render)) = (photo, render) else { return String::new() };
     let (w, h) = (photo.image.width, photo.image.height);
@@ -290,7 +290,7 @@ fn photos(
     let row = |view: usize| -> Result<(String, Option<String>), RunError> {
         let v = &loaded.scene.views[view];
         let (mut text, mut missing) = (String::new(), None);
-        let photo = v.load(loaded.settings.scene.size.min(SHOWN))?;
+        let photo = small_photo(loaded, view)?;
         let camera = photo.camera;
         let held = if v.test { " (held out)" } else { "" };
         pass(folder)?;
