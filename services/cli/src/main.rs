@@ -1,4 +1,20 @@
-//! The `segwild` program: reads the command line, calls the pipeline, prints what happened in words.
+//! The `segwild` program: reads the command line, calls the crates below, prints what happened in words.
+//!
+//! - `commands/`: a file per command, with its arguments, the call, and what it prints. Flags of settings are made from the
+//!   settings themselves (`args.rs`).
+//! - `failure.rs`: the errors of all crates as one sentence and one exit code; `exit.rs` has the codes.
+//! - `progress.rs`, `output.rs`: bars and sentences for a person, JSON lines for a program.
+//!
+//! It computes nothing, and no other crate can call it: what a command does is in the crate that it calls, most of it in
+//! [`segwild_pipeline`].
+//!
+//! ```sh
+//! segwild run photos/trevi --out runs/trevi
+//! segwild segment runs/trevi --photo a.jpg --positive 640,420 --name oceanus
+//! echo $?     # 0, or one of `segwild --help`
+//! ```
+//!
+//! Start reading at `commands/mod.rs`, then `commands/run.rs`.
 
 mod allocator;
 mod args;

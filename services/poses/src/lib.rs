@@ -11,7 +11,30 @@
 //! colmap.log    what the programs wrote
 //! ```
 //!
-//! COLMAP is searched on the `PATH` and nowhere else. Start reading at `estimate.rs`.
+//! COLMAP is searched on the `PATH` and nowhere else.
+//!
+//! It computes no pose by itself, and reads no scene: [`segwild_scene::Scene::open`] reads reconstructions that are there,
+//! [`segwild_scene::Scene::open_posed`] the one that this crate leaves.
+//!
+//! ```
+//! use segwild_poses::{PoseSettings, PoseSource, PosesFolder};
+//! use segwild_scene::SceneSettings;
+//!
+//! # let dir = tempfile::tempdir()?;
+//! # let photos = dir.path().join("photos");
+//! # std::fs::create_dir(&photos)?;
+//! # image::RgbImage::new(64, 48).save(photos.join("a.png"))?;
+//! // A folder with photos and nothing else.
+//! let source = PoseSource::of(&photos, &SceneSettings::default())?.expect("there is a photo");
+//! let folder = PosesFolder::at(dir.path().join("poses"));
+//! let plan = folder.plan(&source, &PoseSettings::default())?;
+//! // `PosesFolder::estimate` does what the plan is about, and the next plan has nothing left.
+//! assert!(!plan.is_done());
+//! assert_eq!(plan.why, ["the photos have no poses yet"]);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! Start reading at `folder.rs` (what is to be done), then `estimate.rs` (how).
 
 mod colmap;
 mod database;

@@ -7,16 +7,32 @@
 //!
 //! It is no trainer and no segmenter: what a click means is decided by [`segwild_pipeline::Session`].
 //!
-//! ```no_run
-//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! use segwild_studio::{ServeOptions, serve};
-//! let server = serve("runs/trevi".as_ref(), ServeOptions::default())?;
-//! println!("{}", server.address());
-//! # Ok(())
-//! # }
+//! ```
+//! use segwild_studio::document::{Document, JournalEntry, Operation, StoredSelection};
+//!
+//! // A person marks 1200 splats with a tool, and takes it back.
+//! let mut document = Document::default();
+//! let selection = StoredSelection { hash: "5e1f".into(), splats: 1200 };
+//! let paint = Operation::Paint { id: document.objects().next_id(), name: "statue".into(), selection };
+//! document.enter(&JournalEntry::Apply(paint))?;
+//! assert_eq!(document.objects().get(1)?.name, "statue");
+//! document.enter(&JournalEntry::Undo)?;
+//! assert!(document.objects().all.is_empty());
+//! assert_eq!(document.redo_label(), Some("select by a tool"));
+//! # Ok::<(), segwild_studio::document::DocumentError>(())
 //! ```
 //!
-//! Start reading at [`Studio::act`].
+//! The page itself needs a run:
+//!
+//! ```no_run
+//! use segwild_studio::{ServeOptions, serve};
+//!
+//! let server = serve("runs/trevi".as_ref(), ServeOptions::default())?;
+//! println!("{}", server.address());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! Start reading at [`Studio::act`] in `studio/act.rs`, then `document/mod.rs`; `routes.rs` lists the requests of the page.
 
 pub mod document;
 mod fronts;
