@@ -21,6 +21,11 @@ pub enum MetricError {
 
 /// Peak signal-to-noise ratio in dB of values in [0, 1], over the pixels of `within` (all when `None`) and all
 /// planes; infinite for equal images, NaN when an image has a NaN there.
+///
+/// It is computed in f64 and shares no code with the PSNR of `segwild_objective`, which trainings and their reports have.
+///
+/// # Errors
+/// When the sizes differ, or no pixel counts.
 pub fn psnr(image: &Image, truth: &Image, within: Option<&Mask>) -> Result<f64, MetricError> {
     same_image(image, truth)?;
     if let Some(mask) = within {

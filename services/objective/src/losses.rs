@@ -66,7 +66,9 @@ pub fn ssim(render: &Image, target: &Image, mask: Option<&Image>) -> f32 {
 }
 
 /// Peak signal-to-noise ratio in dB for values in 0..1; only pixels with `mask` above 1/2 count. Infinite for
-/// equal images and where no pixel counts.
+/// equal images and where no pixel counts, NaN where one that counts is NaN.
+///
+/// It is what reports show. A training follows [`crate::compare::weighted_psnr`], which is bounded and 0 where no pixel counts.
 ///
 /// # Panics
 /// If the sizes differ.

@@ -392,7 +392,8 @@ fn load_fonts() {
     });
 }
 
-/// Text inside HTML or SVG.
+/// Text of this program inside HTML or SVG, and inside attributes in double quotes. Apostrophes stay as they are: for the text of
+/// others there is the report's `escape`, which would change the committed figures.
 pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -13,17 +13,17 @@ const PART: usize = 1 << 20;
 /// Most points or boxes of a call.
 const MOST_PROMPTS: usize = 1 << 16;
 /// Most bytes of one message: the plane of what a mask leaves open is the largest.
-pub(super) const MOST_MESSAGE: usize = 1 << 27;
+pub(crate) const MOST_MESSAGE: usize = 1 << 27;
 
 /// A message is not what it should be.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
-pub(super) struct MessageError(pub &'static str);
+pub(crate) struct MessageError(pub &'static str);
 
 type Read<T> = Result<T, MessageError>;
 
 /// An image under its name, ready to be put.
-pub(super) struct NamedImage {
+pub(crate) struct NamedImage {
     header: ImageHeader,
     numbers: Vec<u8>,
 }
@@ -87,7 +87,7 @@ fn hash(header: &ImageHeader, numbers: &[u8]) -> String {
 }
 
 /// Planes of numbers as the parts of an answer.
-pub(super) fn answer_parts(planes: &[f32], [width, height, channels]: [usize; 3]) -> Vec<ImagePart> {
+pub(crate) fn answer_parts(planes: &[f32], [width, height, channels]: [usize; 3]) -> Vec<ImagePart> {
     let header = ImageHeader {
         hash: String::new(),
         width: width as u32,
@@ -100,7 +100,7 @@ pub(super) fn answer_parts(planes: &[f32], [width, height, channels]: [usize; 3]
 
 /// An image whose parts are arriving.
 #[derive(Default)]
-pub(super) struct Arriving {
+pub(crate) struct Arriving {
     header: Option<ImageHeader>,
     size: usize,
     numbers: Vec<u8>,
@@ -171,7 +171,7 @@ impl Arriving {
 }
 
 /// A mask as a message.
-pub(super) fn mask(mask: &Mask) -> v1::Mask {
+pub(crate) fn mask(mask: &Mask) -> v1::Mask {
     let pixels = mask.width() as usize * mask.height() as usize;
     let (mut runs, mut inside, mut from) = (Vec::new(), false, 0);
     for i in 0..pixels {
@@ -185,7 +185,7 @@ pub(super) fn mask(mask: &Mask) -> v1::Mask {
 }
 
 /// A mask of an image of this size.
-pub(super) fn mask_of(message: Option<v1::Mask>, [width, height]: [usize; 2]) -> Read<Mask> {
+pub(crate) fn mask_of(message: Option<v1::Mask>, [width, height]: [usize; 2]) -> Read<Mask> {
     let message = message.ok_or(MessageError("there is no mask"))?;
     if (message.width as usize, message.height as usize) != (width, height) {
         return Err(MessageError("the mask has another size than its photo"));
@@ -209,13 +209,13 @@ pub(super) fn mask_of(message: Option<v1::Mask>, [width, height]: [usize; 2]) ->
 }
 
 /// A mask with scores as a message.
-pub(super) fn scored(scored: &ScoredMask) -> v1::ScoredMask {
+pub(crate) fn scored(scored: &ScoredMask) -> v1::ScoredMask {
     let ScoredMask { mask: pixels, predicted_iou, stability } = scored;
     v1::ScoredMask { mask: Some(mask(pixels)), predicted_iou: *predicted_iou, stability: *stability }
 }
 
 /// A mask with scores of an image of this size.
-pub(super) fn scored_of(message: v1::ScoredMask, size: [usize; 2]) -> Read<ScoredMask> {
+pub(crate) fn scored_of(message: v1::ScoredMask, size: [usize; 2]) -> Read<ScoredMask> {
     let v1::ScoredMask { mask, predicted_iou, stability } = message;
     if ![predicted_iou, stability].iter().all(|score| (0.0..=1.0).contains(score)) {
         return Err(MessageError("a score is not between 0 and 1"));
@@ -224,12 +224,12 @@ pub(super) fn scored_of(message: v1::ScoredMask, size: [usize; 2]) -> Read<Score
 }
 
 /// A plane of numbers, empty where all are 0, as a message.
-pub(super) fn plane(image: &Image) -> Vec<u8> {
+pub(crate) fn plane(image: &Image) -> Vec<u8> {
     if image.data.iter().all(|v| *v == 0.0) { Vec::new() } else { floats(image.plane(0)) }
 }
 
 /// A plane of probabilities of this size.
-pub(super) fn plane_of(bytes: &[u8], [width, height]: [usize; 2]) -> Read<Image> {
+pub(crate) fn plane_of(bytes: &[u8], [width, height]: [usize; 2]) -> Read<Image> {
     let mut plane = Image::zeros(width, height, 1);
     if bytes.is_empty() {
         return Ok(plane);
@@ -243,12 +243,12 @@ pub(super) fn plane_of(bytes: &[u8], [width, height]: [usize; 2]) -> Read<Image>
 }
 
 /// A position as a message.
-pub(super) fn position([x, y]: [f32; 2]) -> v1::Position {
+pub(crate) fn position([x, y]: [f32; 2]) -> v1::Position {
     v1::Position { x, y }
 }
 
 /// Positions of a message.
-pub(super) fn positions(messages: &[v1::Position]) -> Read<Vec<[f32; 2]>> {
+pub(crate) fn positions(messages: &[v1::Position]) -> Read<Vec<[f32; 2]>> {
     bounded(messages.len())?;
     let points: Vec<[f32; 2]> = messages.iter().map(|p| [p.x, p.y]).collect();
     if !points.iter().flatten().all(|v| v.is_finite()) {
@@ -262,7 +262,7 @@ fn bounded(count: usize) -> Read<()> {
 }
 
 /// Prompts as a message.
-pub(super) fn prompts(image: String, prompts: &Prompts) -> v1::SegmentPromptsRequest {
+pub(crate) fn prompts(image: String, prompts: &Prompts) -> v1::SegmentPromptsRequest {
     let Prompts { points, boxes, granularity } = prompts;
     v1::SegmentPromptsRequest {
         image,
@@ -282,7 +282,7 @@ pub(super) fn prompts(image: String, prompts: &Prompts) -> v1::SegmentPromptsReq
 }
 
 /// Prompts of a message.
-pub(super) fn prompts_of(message: &v1::SegmentPromptsRequest) -> Read<Prompts> {
+pub(crate) fn prompts_of(message: &v1::SegmentPromptsRequest) -> Read<Prompts> {
     bounded(message.points.len().max(message.boxes.len()))?;
     let at = |position: Option<v1::Position>| {
         let v1::Position { x, y } = position.ok_or(MessageError("a prompt without a position"))?;

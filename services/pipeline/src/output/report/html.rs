@@ -5,7 +5,7 @@ use segwild_flow::files::name::shown;
 use segwild_scene::Image;
 use std::fmt::Write as _;
 
-/// Text made safe for HTML content and attributes. Characters that change the writing direction are written out.
+/// Text of anybody made safe for HTML content and attributes. Characters that change the writing direction are written out.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in shown(text).chars() {
