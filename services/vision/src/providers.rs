@@ -9,8 +9,8 @@ use crate::service_address::ServiceAddress;
 use crate::service_error::{ServiceError, TokenFileError};
 use crate::settings::{EdgeChoice, ModelChoice, SkyChoice, VisionSettings};
 use crate::{
-    Builtin, EdgeDetector, EdgeNetwork, Embedder, MaskProposer, PromptSegmenter, RegionCache, SkyDetector,
-    SkyNetwork, TransientDetector, TransientNetwork, VisionError,
+    Builtin, EdgeDetector, EdgeNetwork, Embedder, MaskProposer, PromptSegmenter, RegionCache, Sam,
+    SkyDetector, SkyNetwork, TransientDetector, TransientNetwork, VisionError,
 };
 use segwild_proto::Token;
 use segwild_scene::{Image, Mask};
@@ -93,50 +93,30 @@ impl Providers {
         settings: &VisionSettings,
         cache: Option<Arc<dyn RegionCache>>,
     ) -> Result<Providers, VisionError> {
-        if !settings.models.is_empty() && !Path::new(&settings.models).is_dir() {
-            return Err(VisionError::Model(format!(
-                "the folder of models `{}` does not exist: correct `models` or leave it empty for the built-in provider",
-                settings.models
-            )));
-        }
-        if !(settings.sky_confidence > 0.0 && settings.sky_confidence < 1.0) {
-            return Err(VisionError::Model(format!(
-                "`sky_confidence` is {}; it must lie between 0 and 1",
-                settings.sky_confidence
-            )));
-        }
+        check(settings)?;
         let (mut notes, mut networks) = (Vec::new(), Vec::new());
         let service = connected(settings)?.map(Arc::new);
         let sam = crate::sam::find_pair(settings, &mut notes)?;
         networks.extend(sam.iter().flat_map(|sam| sam.files()));
         let edges = edges(settings, &mut notes, &mut networks)?;
+        let of_service = |has: fn(&RemoteVision) -> bool| service.as_ref().filter(|service| has(service));
+        let describes = ModelSource::of(settings.embedder, of_service(RemoteVision::embeds), sam.as_ref());
+        let masks = ModelSource::of(settings.masks, of_service(RemoteVision::finds_masks), sam.as_ref());
+        for (choice, source, what) in [
+            (settings.embedder, &describes, "describe photos (Embed)"),
+            (settings.masks, &masks, "find masks (ProposeMasks and SegmentPrompts)"),
+        ] {
+            let lacks = choice == ModelChoice::Service && !matches!(source, ModelSource::Service(_));
+            demand(lacks, what, service.as_deref())?;
+        }
         let builtin = match edges {
             Some(edges) => Builtin::with_edges(edges),
             None => Builtin::new(),
         };
         // SAM's embeddings and the built-in provider's analyses share what photos may take.
         let shares = if sam.is_some() { 2 } else { 1 };
-        let by_service = |choice: ModelChoice, has: fn(&RemoteVision) -> bool| {
-            let wanted = matches!(choice, ModelChoice::Auto | ModelChoice::Service);
-            service.clone().filter(|service| wanted && has(service))
-        };
-        let by_sam = |choice: ModelChoice| {
-            let wanted = matches!(choice, ModelChoice::Auto | ModelChoice::Sam);
-            sam.clone().filter(|_| wanted)
-        };
-        let (remote_embedder, remote_masks) = (
-            by_service(settings.embedder, RemoteVision::embeds),
-            by_service(settings.masks, RemoteVision::finds_masks),
-        );
-        for (choice, remote, what) in [
-            (settings.embedder, &remote_embedder, "describe photos (Embed)"),
-            (settings.masks, &remote_masks, "find masks (ProposeMasks and SegmentPrompts)"),
-        ] {
-            demand(choice == ModelChoice::Service && remote.is_none(), what, service.as_deref())?;
-        }
         let builtin = builtin.within(settings.vision_memory as usize * (1 << 20) / shares);
-        let is_builtin = remote_masks.is_none() && by_sam(settings.masks).is_none();
-        let builtin = Arc::new(match cache.filter(|_| is_builtin) {
+        let builtin = Arc::new(match cache.filter(|_| matches!(masks, ModelSource::BuiltIn)) {
             Some(cache) => builtin.keeping(cache),
             None => builtin,
         });
@@ -144,86 +124,94 @@ impl Providers {
             (false, None) => " (SAM is not there, or not requested)",
             _ => "",
         };
-        let note = |what: &str, service: &Option<Arc<RemoteVision>>, sam: bool| match (service, sam) {
-            (Some(service), _) => {
-                format!("{what}: {} by the vision service {}", service.name(), service.addresses())
-            }
-            (None, true) => format!("{what}: SAM"),
-            (None, false) => format!("{what}: built-in{without}"),
-        };
-        notes.push(note("descriptors", &remote_embedder, by_sam(settings.embedder).is_some()));
-        notes.push(note("masks, clicks and refinement", &remote_masks, by_sam(settings.masks).is_some()));
-        let remote_sky = service.clone().filter(|service| service.finds_skies());
-        demand(
-            settings.sky == SkyChoice::Service && remote_sky.is_none(),
-            "find skies (FindSky)",
-            service.as_deref(),
-        )?;
-        let sky: Arc<dyn SkyDetector> = match sky(settings, &builtin, &mut notes, &mut networks)? {
-            Some(network) => network,
-            None if let Some(service) = remote_sky.filter(|_| settings.sky == SkyChoice::Service) => {
-                notes.push(format!("sky: the vision service {}", service.addresses()));
-                service
-            }
-            None if settings.sky == SkyChoice::None => {
-                notes.push("sky: none".into());
-                Arc::new(NoSky)
-            }
-            None if settings.sky == SkyChoice::Geometry => {
-                notes.push("sky: by the points that lie in photos (requested)".into());
-                Arc::new(GeometrySky(builtin.clone()))
-            }
-            None => {
-                let why = match settings.sky {
-                    SkyChoice::Auto if settings.models.is_empty() => "no folder of models is set",
-                    SkyChoice::Auto => {
-                        "selections are better by it than by a network; `sky = \"both\"` takes that as well"
-                    }
-                    _ => "requested",
-                };
-                notes.push(format!("sky: built-in detector (colour and boundaries; {why})"));
-                Arc::new(ColourSky(builtin.clone()))
-            }
-        };
-        let embedder: Arc<dyn Embedder> = match (&remote_embedder, by_sam(settings.embedder)) {
-            (Some(service), _) => service.clone(),
-            (None, Some(sam)) => sam,
-            (None, None) => builtin.clone(),
-        };
-        let by_sam = by_sam(settings.masks);
-        let name = match (&remote_masks, &by_sam) {
-            (Some(service), _) => format!("remote:{}", service.name()),
-            (None, Some(sam)) => format!("sam:{}", sam.stem()),
-            (None, None) => BUILT_IN.to_owned(),
-        };
-        let (proposer, segmenter): (Arc<dyn MaskProposer>, Arc<dyn PromptSegmenter>) =
-            match (remote_masks, by_sam) {
-                (Some(service), _) => (service.clone(), service),
-                (None, Some(sam)) => (sam.clone(), sam),
-                (None, None) => (builtin.clone(), builtin),
-            };
-        let transients: Option<Arc<dyn TransientDetector>> = match settings.transient_network.as_str() {
-            "" => match service.clone().filter(|service| service.finds_transients()) {
-                Some(service) => {
-                    notes.push(format!("persons and vehicles: the vision service {}", service.addresses()));
-                    Some(service)
-                }
-                None => None,
-            },
-            file => {
-                let runtime = Runtime::find_within(&settings.onnxruntime, settings.network_memory)?;
-                let network = TransientNetwork::load(&runtime, Path::new(file), settings.network_threads)?;
-                notes.push(format!("persons and vehicles: network {file}"));
-                networks.push(NetworkFile {
-                    setting: "transient_network".into(),
-                    ..NetworkFile::of_models(Path::new(file), network.hash())
-                });
-                Some(Arc::new(network))
-            }
-        };
+        notes.push(describes.note("descriptors", without));
+        notes.push(masks.note("masks, clicks and refinement", without));
+        let sky = sky(settings, service.as_ref(), &builtin, &mut notes, &mut networks)?;
+        let (proposer, segmenter) = masks.of_masks(&builtin);
+        let transients = transients(settings, service.as_ref(), &mut notes, &mut networks)?;
         networks.extend(service.iter().map(|service| service.as_network_file()));
         let remote_calls = service.map_or(0, |service| service.calls());
+        let (embedder, name) = (describes.embedder(&builtin), masks.name());
         Ok(Providers { embedder, proposer, segmenter, sky, transients, name, notes, networks, remote_calls })
+    }
+}
+
+/// Refuses settings that no provider can have.
+fn check(settings: &VisionSettings) -> Result<(), VisionError> {
+    if !settings.models.is_empty() && !Path::new(&settings.models).is_dir() {
+        return Err(VisionError::Model(format!(
+            "the folder of models `{}` does not exist: correct `models` or leave it empty for the built-in provider",
+            settings.models
+        )));
+    }
+    if !(settings.sky_confidence > 0.0 && settings.sky_confidence < 1.0) {
+        return Err(VisionError::Model(format!(
+            "`sky_confidence` is {}; it must lie between 0 and 1",
+            settings.sky_confidence
+        )));
+    }
+    Ok(())
+}
+
+/// What describes photos, or what finds masks.
+enum ModelSource {
+    /// A vision service.
+    Service(Arc<RemoteVision>),
+    /// SAM on this machine.
+    Sam(Arc<Sam>),
+    /// The built-in provider.
+    BuiltIn,
+}
+
+impl ModelSource {
+    /// The first that a choice allows and that is there: a service that has what is needed, SAM, the built-in provider.
+    fn of(choice: ModelChoice, service: Option<&Arc<RemoteVision>>, sam: Option<&Arc<Sam>>) -> ModelSource {
+        let auto = choice == ModelChoice::Auto;
+        match (service, sam) {
+            (Some(service), _) if auto || choice == ModelChoice::Service => {
+                ModelSource::Service(service.clone())
+            }
+            (_, Some(sam)) if auto || choice == ModelChoice::Sam => ModelSource::Sam(sam.clone()),
+            _ => ModelSource::BuiltIn,
+        }
+    }
+
+    /// The note on what does `what`; `without` says why it is not SAM.
+    fn note(&self, what: &str, without: &str) -> String {
+        match self {
+            ModelSource::Service(service) => {
+                format!("{what}: {} by the vision service {}", service.name(), service.addresses())
+            }
+            ModelSource::Sam(_) => format!("{what}: SAM"),
+            ModelSource::BuiltIn => format!("{what}: built-in{without}"),
+        }
+    }
+
+    /// Its name, as [`Providers::name`] has it.
+    fn name(&self) -> String {
+        match self {
+            ModelSource::Service(service) => format!("remote:{}", service.name()),
+            ModelSource::Sam(sam) => format!("sam:{}", sam.stem()),
+            ModelSource::BuiltIn => BUILT_IN.to_owned(),
+        }
+    }
+
+    /// What describes photos.
+    fn embedder(&self, builtin: &Arc<Builtin>) -> Arc<dyn Embedder> {
+        match self {
+            ModelSource::Service(service) => service.clone(),
+            ModelSource::Sam(sam) => sam.clone(),
+            ModelSource::BuiltIn => builtin.clone(),
+        }
+    }
+
+    /// What finds masks at points, and what answers prompts.
+    fn of_masks(&self, builtin: &Arc<Builtin>) -> (Arc<dyn MaskProposer>, Arc<dyn PromptSegmenter>) {
+        match self {
+            ModelSource::Service(service) => (service.clone(), service.clone()),
+            ModelSource::Sam(sam) => (sam.clone(), sam.clone()),
+            ModelSource::BuiltIn => (builtin.clone(), builtin.clone()),
+        }
     }
 }
 
@@ -294,7 +282,45 @@ fn edges(
     }
 }
 
+/// What finds the sky.
 fn sky(
+    settings: &VisionSettings,
+    service: Option<&Arc<RemoteVision>>,
+    builtin: &Arc<Builtin>,
+    notes: &mut Vec<String>,
+    networks: &mut Vec<NetworkFile>,
+) -> Result<Arc<dyn SkyDetector>, VisionError> {
+    let remote = service.filter(|service| service.finds_skies());
+    let by_service = settings.sky == SkyChoice::Service;
+    demand(by_service && remote.is_none(), "find skies (FindSky)", service.map(Arc::as_ref))?;
+    if let Some(network) = sky_network(settings, builtin, notes, networks)? {
+        return Ok(network);
+    }
+    if let Some(service) = remote.filter(|_| by_service) {
+        notes.push(format!("sky: the vision service {}", service.addresses()));
+        return Ok(service.clone());
+    }
+    let why = match settings.sky {
+        SkyChoice::None => {
+            notes.push("sky: none".into());
+            return Ok(Arc::new(NoSky));
+        }
+        SkyChoice::Geometry => {
+            notes.push("sky: by the points that lie in photos (requested)".into());
+            return Ok(Arc::new(GeometrySky(builtin.clone())));
+        }
+        SkyChoice::Auto if settings.models.is_empty() => "no folder of models is set",
+        SkyChoice::Auto => {
+            "selections are better by it than by a network; `sky = \"both\"` takes that as well"
+        }
+        _ => "requested",
+    };
+    notes.push(format!("sky: built-in detector (colour and boundaries; {why})"));
+    Ok(Arc::new(ColourSky(builtin.clone())))
+}
+
+/// The network that finds the sky, if one is requested.
+fn sky_network(
     settings: &VisionSettings,
     builtin: &Arc<Builtin>,
     notes: &mut Vec<String>,
@@ -317,4 +343,27 @@ fn sky(
         SkyChoice::Both => Arc::new(JointSky { network, colour: ColourSky(builtin.clone()) }),
         _ => Arc::new(network),
     }))
+}
+
+/// What finds persons and vehicles: a network that is named, else a vision service that does.
+fn transients(
+    settings: &VisionSettings,
+    service: Option<&Arc<RemoteVision>>,
+    notes: &mut Vec<String>,
+    networks: &mut Vec<NetworkFile>,
+) -> Result<Option<Arc<dyn TransientDetector>>, VisionError> {
+    let file = settings.transient_network.as_str();
+    if file.is_empty() {
+        let Some(service) = service.filter(|service| service.finds_transients()) else { return Ok(None) };
+        notes.push(format!("persons and vehicles: the vision service {}", service.addresses()));
+        return Ok(Some(service.clone()));
+    }
+    let runtime = Runtime::find_within(&settings.onnxruntime, settings.network_memory)?;
+    let network = TransientNetwork::load(&runtime, Path::new(file), settings.network_threads)?;
+    notes.push(format!("persons and vehicles: network {file}"));
+    networks.push(NetworkFile {
+        setting: "transient_network".into(),
+        ..NetworkFile::of_models(Path::new(file), network.hash())
+    });
+    Ok(Some(Arc::new(network)))
 }
