@@ -3,17 +3,16 @@
 //! Poses are camera to world with the camera's y up and z backwards (OpenGL); intrinsics are given for all frames, per
 //! frame, or as Blender's `camera_angle_x`.
 
-
 use crate::decode::{ImageHead, converted};
 use crate::draft::{Draft, DraftLensError, DraftPhoto, DraftPose, PoseError, finite};
-use crate::lens::{CameraModel, Lens};
 use crate::endings::{CAPITALS, READ, is_photo};
+use crate::lens::{CameraModel, Lens};
 use crate::names::{Listing, below, is_inside, key, last_part, tidy};
 use crate::photo_files::{Claim, Claimed, LocateError, no_file, photo_folders, settle};
 use crate::split::{Split, SplitPart};
+use crate::transforms_json::{Intrinsics, Transforms, TransformsFrame};
 use crate::{DecodeError, SceneError, draft, text};
 use glam::{DMat3, DVec3};
-use crate::transforms_json::{Intrinsics, Transforms, TransformsFrame};
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};

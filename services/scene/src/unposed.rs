@@ -1,8 +1,8 @@
 //! A folder of photos without a reconstruction: which of them can be given to a program that finds their poses.
 
 use crate::decode::{self, ImageHead, pixels_of};
-use crate::locate::folder_setting;
 use crate::endings::is_photo;
+use crate::locate::folder_setting;
 use crate::names::{Listing, ListingEntry, is_inside, last_part};
 use crate::photo_files::photo_folders;
 use crate::{ExifCamera, SceneError, SceneSettings, Skipped};

@@ -67,8 +67,6 @@ pub(crate) fn view_evidence(
             coverage(projected, &whole, &inside, weights, size, settings.vote)
                 .map_err(SegmentError::raster(&view.name))
         }
-        EvidenceMode::Centre => {
-            Ok(centre(projected, &mask.resized(size.0, size.1), request.options.near))
-        }
+        EvidenceMode::Centre => Ok(centre(projected, &mask.resized(size.0, size.1), request.options.near)),
     }
 }

@@ -94,7 +94,7 @@ fn folders_that_import_each_other_are_found_where_their_files_do_not() {
         ("a/first.rs", "pub struct First;"),
         ("a/second.rs", "use crate::b::Third;"),
         ("b.rs", "pub mod inner; use crate::a::first::First; pub struct Third;"),
-        ("b/inner.rs", "pub struct Fourth;"),
+        ("b/inner.rs", "use super::Third; pub struct Fourth;"),
     ];
     let read = |file: &str| files.iter().find(|(name, _)| *name == file).map(|(_, text)| (*text).to_owned());
     let graph = Modules::read("lib.rs", &read).imports();

@@ -8,16 +8,16 @@ pub use page::{markdown, write};
 
 use crate::page::{PageError, io};
 use crate::point::{PointError, name_of};
-use prompts::{random_box, random_pixel, worst_error};
+use prompts::{BOX, random_box, random_pixel, worst_error};
+use segwild_eval::protocols::ProtocolError;
 use segwild_eval::protocols::folder::objects;
 use segwild_eval::record::{Provenance, Record, Results};
 use segwild_eval::trial::TrialError;
 use segwild_flow::Stopper;
 use segwild_pipeline::{
-    AnswerStep, PhotoPrompts, RunError, RunFolder, RunOptions, Session, SessionOptions, Settings, Until, run,
-    score,
+    PhotoPrompts, RunError, RunFolder, RunOptions, Session, SessionOptions, Settings, Until, run, score,
 };
-use segwild_scene::{HoldOut, Mask, MaskFiles, Prompts, Random, ReaderError};
+use segwild_scene::{HoldOut, Mask, MaskFileError, MaskFiles, Prompts, Random};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -27,9 +27,6 @@ pub const PROTOCOL: &str = "clicks";
 
 /// A photo is clicked where the object covers at least one pixel in this many.
 const LEAST: usize = 200;
-
-/// The row of a record whose prompt is a box.
-const BOX: &str = "box";
 
 /// What to measure.
 #[derive(Clone, Debug)]
@@ -79,6 +76,10 @@ pub fn random_clicks(options: &ClickOptions, mut report: impl FnMut(&Record)) ->
         }
     }
     Ok(results)
+}
+
+fn unread(folder: &Path, error: &MaskFileError) -> PageError {
+    ProtocolError::File { file: folder.display().to_string(), reason: error.to_string() }.into()
 }
 
 fn failed(error: RunError) -> PageError {
@@ -153,7 +154,7 @@ struct TrueObject<'a> {
 }
 
 /// An answer, compared with the true masks.
-struct ScoredAnswer {
+struct ComparedAnswer {
     /// IoU on each photo with a true mask; none where nothing was selected.
     ious: Vec<f64>,
     /// Seconds to the last answer.
@@ -166,7 +167,7 @@ struct ScoredAnswer {
     answers: usize,
 }
 
-impl ScoredAnswer {
+impl ComparedAnswer {
     fn mean(&self) -> f64 {
         if self.ious.is_empty() { 0.0 } else { self.ious.iter().sum::<f64>() / self.ious.len() as f64 }
     }
@@ -197,7 +198,7 @@ impl TrueObject<'_> {
             ("expected_iou", answer.expected_iou.map(f64::from)),
         ];
         numbers.extend(known.into_iter().filter_map(|(name, number)| Some((name.to_owned(), number?))));
-        // Alternatives are asked for first: what is corrected is the answer, and it is the one saved last.
+        // Alternatives come first: what is corrected is the answer, and it is the one saved last.
         if options.alternatives {
             let mut best = answer.mean();
             for other in 1..answer.answers {
@@ -243,7 +244,7 @@ impl TrueObject<'_> {
         settings: &Settings,
         prompts: &[PhotoPrompts],
         alternative: usize,
-    ) -> Result<ScoredAnswer, PageError> {
+    ) -> Result<ComparedAnswer, PageError> {
         let mut segment = settings.segment.clone();
         segment.alternative = alternative as u32;
         let began = Instant::now();
@@ -256,7 +257,7 @@ impl TrueObject<'_> {
             Ok(answer) => {
                 session.save(SELECTION, &answer).map_err(failed)?;
                 let scored = score(session.folder(), SELECTION, self.masks).map_err(failed)?;
-                Ok(ScoredAnswer {
+                Ok(ComparedAnswer {
                     ious: scored.photos.iter().map(|photo| photo.iou).collect(),
                     select_s: Some(answer.select_s).filter(|s| s.is_finite()),
                     first_s,
@@ -265,29 +266,38 @@ impl TrueObject<'_> {
                 })
             }
             // Nothing selected is nothing right.
-            Err(RunError::Segment(error)) if error.is_nothing() => {
-                Ok(ScoredAnswer { ious: Vec::new(), select_s: None, first_s, expected_iou: None, answers: 1 })
-            }
+            Err(RunError::Segment(error)) if error.is_nothing() => Ok(ComparedAnswer {
+                ious: Vec::new(),
+                select_s: None,
+                first_s,
+                expected_iou: None,
+                answers: 1,
+            }),
             Err(other) => Err(failed(other)),
         }
     }
 
     /// A click where the answer that was saved last is most wrong, over all photos that show the object; `None` where nothing is
     /// wrong.
-    fn correction(&self, session: &Session, answer: &ScoredAnswer) -> Result<Option<PhotoPrompts>, PageError> {
+    fn correction(
+        &self,
+        session: &Session,
+        answer: &ComparedAnswer,
+    ) -> Result<Option<PhotoPrompts>, PageError> {
         let folder = session.folder().selection(SELECTION).join("masks");
         let files = MaskFiles::new(&folder, session.scene().views.iter().map(|view| view.name.as_str()));
         let mut worst: Option<(f32, PhotoPrompts)> = None;
         for (photo, truth) in self.shown {
             let file = match answer.ious.is_empty() {
                 true => None,
-                false => files.find(photo).map_err(|e| failed(ReaderError::from(e).into()))?,
+                false => files.find(photo).map_err(|e| unread(&folder, &e))?,
             };
             let mask = match file {
                 Some(file) => Mask::read_png(&file).map_err(|e| failed(e.into()))?,
                 None => Mask::empty(truth.width(), truth.height()),
             };
-            let Some((depth, point)) = worst_error(truth, &mask.resized(truth.width(), truth.height())) else {
+            let Some((depth, point)) = worst_error(truth, &mask.resized(truth.width(), truth.height()))
+            else {
                 continue;
             };
             if worst.as_ref().is_none_or(|(deepest, _)| depth > *deepest) {

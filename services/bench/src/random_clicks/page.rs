@@ -1,7 +1,6 @@
 //! The page of random clicks.
 
-use super::BOX;
-use super::prompts::{BOX_MARGIN, INSET};
+use super::prompts::{BOX, BOX_MARGIN, INSET};
 use crate::page::{PageError, io};
 use segwild_eval::metrics::Spread;
 use segwild_eval::record::{Record, Results};
@@ -75,7 +74,8 @@ impl ClickRow {
         let [low, middle, high] = self.quartiles;
         let [found, well] = self.found;
         let best = self.best.map_or("- | -".into(), |[mean, found]| format!("{mean:.3} | {found:.2}"));
-        let clicks = self.clicks_to.map_or("- | -".into(), |[first, second]| format!("{first:.1} | {second:.1}"));
+        let clicks =
+            self.clicks_to.map_or("- | -".into(), |[first, second]| format!("{first:.1} | {second:.1}"));
         format!(
             "{:.3} | {low:.2} / {middle:.2} / {high:.2} | {found:.2} | {well:.2} | {best} | {clicks} | {:.2} | {:.1}",
             self.mean, self.first_s, self.select_s

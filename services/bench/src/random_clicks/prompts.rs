@@ -2,6 +2,9 @@
 
 use segwild_scene::{BoxPrompt, Mask, PointPrompt, Random};
 
+/// The row of a record whose prompt is a box.
+pub const BOX: &str = "box";
+
 /// Clicks keep away from an object's outline by this share of the photo's diagonal, where the object is wide enough: a person
 /// aims inside.
 pub const INSET: f32 = 0.01;
@@ -51,7 +54,10 @@ pub fn worst_error(truth: &Mask, mask: &Mask) -> Option<(f32, PointPrompt)> {
         let depths = wrong.not().distances();
         let to_frame = |x: u32, y: u32| (x + 1).min(width - x).min(y + 1).min(height - y) as f32;
         let depth = |(x, y): (u32, u32)| depths[(y * width + x) as usize].min(to_frame(x, y));
-        wrong.pixels().map(|at| (depth(at), at)).reduce(|best, other| if other.0 > best.0 { other } else { best })
+        wrong
+            .pixels()
+            .map(|at| (depth(at), at))
+            .reduce(|best, other| if other.0 > best.0 { other } else { best })
     };
     let (lacks, beyond) = (deepest(truth.minus(mask)), deepest(mask.minus(truth)));
     let [lacks, beyond] = [(lacks, true), (beyond, false)].map(|(found, inside)| {
@@ -101,13 +107,19 @@ mod tests {
         assert_eq!(worst_error(&truth, &truth), None);
         // The right half is missing: 20 x 40 pixels.
         let (depth, click) = worst_error(&truth, &block(20..40, 10..50)).unwrap();
-        assert!(click.inside && (49.0..51.0).contains(&click.x) && (19.0..41.0).contains(&click.y), "{click:?}");
+        assert!(
+            click.inside && (49.0..51.0).contains(&click.x) && (19.0..41.0).contains(&click.y),
+            "{click:?}"
+        );
         assert!((depth - 10.0 / 128.06).abs() < 1e-3, "{depth}");
         // A strip of 30 pixels too much weighs more; it is cut by the frame, where it is not deep.
         let (_, click) = worst_error(&truth, &block(20..100, 10..50)).unwrap();
         assert!(!click.inside && (79.0..81.0).contains(&click.x), "{click:?}");
         // Nothing selected: the middle of the object.
         let (_, click) = worst_error(&truth, &Mask::empty(100, 80)).unwrap();
-        assert!(click.inside && (39.0..41.0).contains(&click.x) && (29.0..31.0).contains(&click.y), "{click:?}");
+        assert!(
+            click.inside && (39.0..41.0).contains(&click.x) && (29.0..31.0).contains(&click.y),
+            "{click:?}"
+        );
     }
 }

@@ -4,10 +4,10 @@
 //! third, as on the host. Every kernel reads its layer from one table of [`LayerUniform`]s.
 
 use super::layer::LayerUniform;
-use crate::layer_flags::{ADD, COUNTED, NOWHERE, RELU};
 use crate::GpuError;
 use crate::device::{DeviceWork, PooledBuffer};
 use crate::groups::GROUP;
+use crate::layer_flags::{ADD, COUNTED, NOWHERE, RELU};
 use crate::shaders::{
     ADD_MAPS, CONVOLVE, CONVOLVE_WEIGHTS, Kernel, NORM, NORM_BACKWARD, RELU_BACKWARD, SUM_WEIGHTS,
 };

@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 use super::farm::FarmTarget;
 use super::folder::{ViewError, name_of};
 use super::scene::{SceneState, SceneView};
-use super::{Disk, Runs};
 use super::why;
+use super::{Disk, Runs};
 
 /// A batch, as it is or as it was left.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

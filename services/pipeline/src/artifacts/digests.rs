@@ -37,11 +37,12 @@ impl Digests {
     ) -> Result<Digests, RunError> {
         let scene = photos.scene();
         let lpips = LpipsFile::of(settings)?;
-        let examine = |(i, view): (usize, &View)| -> Result<(String, Option<String>), Box<dyn Error + Send + Sync>> {
-            let digest = digest(i)?;
-            let odd = photos.examine(i)?;
-            Ok((digest, odd.map(|odd| format!("photo {}: {odd}", view.name))))
-        };
+        let examine =
+            |(i, view): (usize, &View)| -> Result<(String, Option<String>), Box<dyn Error + Send + Sync>> {
+                let digest = digest(i)?;
+                let odd = photos.examine(i)?;
+                Ok((digest, odd.map(|odd| format!("photo {}: {odd}", view.name))))
+            };
         let (mut digests, mut odd) = (Vec::new(), Vec::new());
         let examined = scene.views.par_iter().enumerate();
         let until_stopped = examined.map(|view| (!stopping()).then(|| examine(view)));

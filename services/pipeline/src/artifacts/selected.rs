@@ -66,7 +66,7 @@ pub enum SelectedError {
 
 impl Selected {
     /// The labels and what a cut changes.
-    pub(super) fn new(labels: &[bool], cut: &SpikeCut) -> Selected {
+    pub(crate) fn new(labels: &[bool], cut: &SpikeCut) -> Selected {
         let mut labels = labels.to_vec();
         cut.trim(&mut labels);
         let after = |&(splat, _, SplatGeometry { mean, log_scales, rotation }): &(

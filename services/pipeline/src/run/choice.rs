@@ -8,8 +8,8 @@ use segwild_flow::{Cache, CacheError, Key, lock};
 use segwild_objective::Engine;
 use segwild_scene::{Mask, PhotoStore, Scene, SceneError};
 use segwild_trainer::{
-    AppearanceChoice, BudgetChoice, CHOICE_SIZE, Photos, Sifted, TrainError, TrainPhoto,
-    choose_appearance, choose_budget, trial_size,
+    AppearanceChoice, BudgetChoice, CHOICE_SIZE, Photos, Sifted, TrainError, TrainPhoto, choose_appearance,
+    choose_budget, trial_size,
 };
 use segwild_vision::SkyDetector;
 use std::collections::BTreeMap;

@@ -9,7 +9,7 @@
 //! taken at fixed steps and views go in fixed order, so the result does not depend on which actor is faster.
 
 use super::context::RunContext;
-use super::graph::StageGraph;
+use super::graph::{StageGraph, node_of};
 use super::memory;
 use super::need::Extent;
 use super::node::StageWork;
@@ -186,7 +186,7 @@ impl<'a> Coordinator<'a> {
             }
             if let Some((stage, failure)) = self.run.tally.failed.take() {
                 let (name, reason) = (stage.name(), failure.to_string());
-                self.run.ledger.fail_stage(name, &self.run.keys.stage(stage), &reason)?;
+                self.run.ledger.fail_stage(name, &node_of(stage).key(&self.run.keys), &reason)?;
                 self.run.options.events.tell(Event::StageFailed { stage: name.into(), error: reason });
                 return Err(RunError::of_stage(name, &failure));
             }

@@ -170,7 +170,7 @@ fn end_of_actors(
     match (outcome, gave_up) {
         (Ok(()) | Err(RunError::Interrupted), Some((stage, failure))) => {
             let (name, reason) = (stage.name(), failure.to_string());
-            run.ledger.fail_stage(name, &run.keys.stage(stage), &reason)?;
+            run.ledger.fail_stage(name, &node_of(stage).key(&run.keys), &reason)?;
             run.ledger.leave_stages()?;
             run.options.events.tell(Event::StageFailed { stage: name.into(), error: reason });
             return Err(RunError::of_stage(name, &failure));

@@ -76,7 +76,15 @@ impl Situation {
         };
         let digests = Digests::read(&photos, &digest, settings, &|| false)?.without(corrections.unusable());
         let named = |settings: &Settings, corrections: &Corrections, end: &End| {
-            Keys::of(&scene, digests.clone(), settings, &providers, &corrections.digests(), engine.name(), end)
+            Keys::of(
+                &scene,
+                digests.clone(),
+                settings,
+                &providers,
+                &corrections.digests(),
+                engine.name(),
+                end,
+            )
         };
         let name = |settings: &Settings| named(settings, &corrections, end);
         // A choice that is still open leaves its `auto` in the key: all that depends on it is then to be made.
@@ -93,6 +101,15 @@ impl Situation {
         }
         let (end, snapshot_step) = (settings.train.steps, settings.train.snapshot_step());
         let networks = providers.networks;
-        Ok(Situation { scene, keys, networks, corrected, origin, goal: goal.unwrap_or(end), end, snapshot_step })
+        Ok(Situation {
+            scene,
+            keys,
+            networks,
+            corrected,
+            origin,
+            goal: goal.unwrap_or(end),
+            end,
+            snapshot_step,
+        })
     }
 }

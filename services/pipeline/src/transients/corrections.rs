@@ -204,8 +204,7 @@ mod tests {
         Mask::full(50, 50).write_png(&named.join("b.png")).unwrap();
         std::fs::write(named.join("c.png"), b"no image").unwrap();
         let found = Corrections::find(&scene, &run, &named.to_string_lossy()).unwrap();
-        let reasons: Vec<(usize, String)> =
-            found.unusable().map(|(i, why)| (i, why.to_string())).collect();
+        let reasons: Vec<(usize, String)> = found.unusable().map(|(i, why)| (i, why.to_string())).collect();
         assert!(
             matches!(&reasons[..], [(1, b), (2, c)] if b.contains("b.png: it has 50 x 50") && c.contains("c.png")),
             "{reasons:?}"

@@ -4,11 +4,11 @@ use super::member::{Client, Member, described};
 use super::pool::{CallError, ServicePool, ServiceTerms};
 use super::queue::Priority;
 use super::wire::{self, Arriving, MOST_MESSAGE, MessageError, NamedImage};
-use crate::service_address::ServiceAddress;
-use crate::service_error::ServiceError;
 use crate::network_file::NetworkFile;
 use crate::provider::check_certainty;
 use crate::sam::{bounds, middle};
+use crate::service_address::ServiceAddress;
+use crate::service_error::ServiceError;
 use crate::{
     Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, TransientDetector, VisionError, Work,
 };
