@@ -86,6 +86,13 @@ fn a_generated_page_names_provider_command_commit_and_machine() {
             for word in ["Provider: ", "Command: `segwild bench", "Commit: ", "Machine: "] {
                 assert!(text.contains(word), "{}: {word}", page.display());
             }
+            // "unknown" is what a program says that was built outside of the repository: nobody can measure that again.
+            for made in text.split("Commit: ").skip(1) {
+                let named = made.split("Machine: ").next().unwrap_or_default();
+                let is_hash = |word: &str| word.len() >= 7 && word.bytes().all(|b| b.is_ascii_hexdigit());
+                let hash = named.split(|c: char| !c.is_ascii_alphanumeric()).find(|word| is_hash(word));
+                assert!(hash.is_some(), "{}: no commit in `{named}`", page.display());
+            }
         }
     }
 }
