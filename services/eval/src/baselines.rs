@@ -59,7 +59,6 @@ const PROJECTION: Changes = &[
 /// FlashSplat (Shen et al. 2024): the labels that fit the masks best, in closed form: light inside against light outside.
 const FLASHSPLAT: Changes = &[
     ("vote", "light"),
-    ("seen", "0"),
     ("least_evidence", "0"),
     ("undecided", "out"),
     ("similarity_use", "off"),
