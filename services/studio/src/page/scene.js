@@ -209,6 +209,8 @@ export class ScenePane {
     const { app } = this, view = this.full();
     cameras.width = view.camera.width;
     cameras.height = view.camera.height;
+    // Without a stroke the browser may go on to show what the canvas had.
+    cameras.hidden = !this.frusta;
     if (!this.frusta) return;
     const context = /** @type {CanvasRenderingContext2D} */ (cameras.getContext("2d"));
     const reach = length(subtract(app.description.centre, this.eye)) * 0.06;
@@ -253,8 +255,10 @@ export class ScenePane {
       while ((this.dirty || !whole) && space.clientWidth > LEAST && space.clientHeight > LEAST) {
         this.dirty = false;
         whole = performance.now() - this.moved > REST;
-        const began = performance.now();
-        await (this.drawer === "browser" ? this.drawHere(whole) : this.drawThere(whole));
+        const began = performance.now(), here = this.drawer === "browser";
+        await (here ? this.drawHere(whole) : this.drawThere(whole));
+        // The browser's splats lie over the frame, which is their background then.
+        of("splats").hidden = !here;
         this.app.times.frame = performance.now() - began;
         of("frame-time").textContent = text("frame_time", Math.round(this.app.times.frame));
         if (!whole && !this.dirty) await new Promise(done => setTimeout(done, REST));
@@ -289,7 +293,6 @@ export class ScenePane {
   /** Lets the other one draw. */
   switchDrawer() {
     this.drawer = this.drawer === "browser" ? "server" : "browser";
-    of("splats").hidden = this.drawer !== "browser";
     this.redraw();
   }
 
