@@ -349,6 +349,8 @@ pub struct StateMessage {
     pub corrected: Vec<usize>,
     /// Whether objects are shown with their spikes cut.
     pub cut_spikes: bool,
+    /// Names what objects change of the splats: shapes that are cut, and appearances of their own. Empty where they change nothing.
+    pub changes: String,
     /// What undo would take back.
     pub undo: Option<&'static str>,
     /// What redo would do again.

@@ -12,6 +12,7 @@ use axum::routing::{MethodRouter, get, post};
 use axum::{Json, Router};
 use futures_util::stream;
 use segwild_farm::{EmbeddedEngine, EngineError, JobEngine, JobState};
+use segwild_flow::Stopper;
 use segwild_monitor::{MonitorTarget, MonitorView};
 use segwild_pipeline::RunError;
 use segwild_scene::SplatFormat;
@@ -39,6 +40,7 @@ pub(crate) fn routes(runs: Runs) -> Router {
         .route("/api/v1/runs/{run}/pick", post(pick))
         .route("/api/v1/runs/{run}/frame", post(frame))
         .route("/api/v1/runs/{run}/splats", get(splats))
+        .route("/api/v1/runs/{run}/changes", get(changes))
         .route("/api/v1/runs/{run}/labels", get(splat_labels))
         .route("/api/v1/runs/{run}/sheet", get(sheet))
         .route("/api/v1/runs/{run}/photos/{photo}", get(photo))
@@ -253,6 +255,24 @@ async fn splats(State(runs): State<Runs>, Path(run): Path<String>, request: Requ
     let appearance = appearance.map(number::<usize>).transpose()?;
     let bytes = answered(&runs, &run, move |studio| studio.packed(appearance)).await?;
     Ok(([(header::CONTENT_TYPE, "application/octet-stream")], bytes).into_response())
+}
+
+/// Stops the work for a request whose client does not wait for it any more.
+struct StopsWithRequest(Stopper);
+
+impl Drop for StopsWithRequest {
+    fn drop(&mut self) {
+        self.0.stop();
+    }
+}
+
+async fn changes(State(runs): State<Runs>, Path(run): Path<String>) -> Answered {
+    let request = StopsWithRequest(Stopper::new());
+    let stopper = request.0.clone();
+    let (bytes, version) = answered(&runs, &run, move |studio| studio.packed_changes(&stopper)).await?;
+    let mut response = ([(header::CONTENT_TYPE, "application/octet-stream")], bytes).into_response();
+    response.headers_mut().insert("segwild-version", HeaderValue::from_str(&version).map_err(|_| broken())?);
+    Ok(response)
 }
 
 async fn splat_labels(State(runs): State<Runs>, Path(run): Path<String>) -> Answered {

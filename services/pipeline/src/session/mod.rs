@@ -20,6 +20,7 @@
 
 mod answer;
 mod objects;
+mod packed;
 mod resident;
 mod save;
 mod segment;

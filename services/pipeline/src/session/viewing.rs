@@ -214,31 +214,8 @@ impl Session {
         }
     }
 
-    /// The splats for a program that rasterises them itself, little-endian: number of splats, degree of the harmonics, and
-    /// whether opacities are compensated for the pixel filter, as `u32`; then as `f32` all centres (3), opacities in [0, 1]
-    /// (1), upper triangles of the covariances (6), and colour coefficients (3 per basis function).
-    ///
-    /// # Errors
-    /// When the photo `appearance` is unknown or took no part in the training.
-    pub fn packed_splats(&self, appearance: &BlendedAppearance) -> Result<Vec<u8>, RunError> {
-        let splats = self.in_colour(appearance)?;
-        let n = splats.len();
-        let head = [n as u32, splats.sh_degree, u32::from(self.model.antialias)];
-        let mut bytes = Vec::with_capacity(12 + 4 * (10 * n + splats.sh.len()));
-        bytes.extend(head.iter().flat_map(|v| v.to_le_bytes()));
-        let mut add = |values: &[f32]| bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
-        add(splats.means.as_flattened());
-        add(&(0..n).map(|i| splats.opacity(i)).collect::<Vec<f32>>());
-        for i in 0..n {
-            let [[xx, xy, xz], [_, yy, yz], [_, _, zz]] = splats.covariance(i).to_cols_array_2d();
-            add(&[xx, xy, xz, yy, yz, zz]);
-        }
-        add(&splats.sh);
-        Ok(bytes)
-    }
-
     /// The splats with the colours of an appearance.
-    fn in_colour(&self, appearance: &BlendedAppearance) -> Result<Splats, RunError> {
+    pub(super) fn in_colour(&self, appearance: &BlendedAppearance) -> Result<Splats, RunError> {
         Ok(self.model.baked(&appearance.light(&self.scene, &self.model)?.into()))
     }
 

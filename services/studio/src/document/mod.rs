@@ -96,6 +96,11 @@ impl Objects {
         self.all.iter().find(|object| object.id == id).ok_or(DocumentError::NoObject(id))
     }
 
+    /// Whether an object is shown with its spikes cut.
+    pub fn cuts(&self, object: &KeptObject) -> bool {
+        !self.spikes && self.isolated.is_none_or(|id| id == object.id)
+    }
+
     fn get_mut(&mut self, id: ObjectId) -> Result<&mut KeptObject, DocumentError> {
         self.all.iter_mut().find(|object| object.id == id).ok_or(DocumentError::NoObject(id))
     }

@@ -21,7 +21,7 @@
  * @typedef {{revision: number,
  *   draft: {prompts: Prompts[], listed: number | null, of: number | null, alternative: number},
  *   answer: {number: number, state: string, step: any, splats: number, alternatives: any[], error: string | null, seconds: number},
- *   objects: Item[], isolated: number | null, appearance: Appearance, corrected: number[], cut_spikes: boolean,
+ *   objects: Item[], isolated: number | null, appearance: Appearance, corrected: number[], cut_spikes: boolean, changes: string,
  *   undo: string | null, redo: string | null, notes: string[]}} State
  */
 
@@ -114,6 +114,12 @@ export class Run {
   /** @param {string} path */
   async bytes(path) {
     return (await checked(await fetch(`${this.base}/${path}`))).arrayBuffer();
+  }
+
+  /** What objects change of the splats, and its version. @param {AbortSignal} signal @returns {Promise<{version: string, bytes: ArrayBuffer}>} */
+  async changes(signal) {
+    const response = await checked(await fetch(`${this.base}/changes`, { signal }));
+    return { version: response.headers.get("segwild-version") ?? "", bytes: await response.arrayBuffer() };
   }
 
   /** @param {number} id @param {string} format */

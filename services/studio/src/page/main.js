@@ -105,7 +105,7 @@ export class App {
     this.item = null;
     this.counts.clear();
     this.scenePane.drawer = null;
-    this.scenePane.loaded = "";
+    this.scenePane.forget();
     this.strip.shownFor = "";
     this.strip.showing = null;
     this.strip.draw();

@@ -21,6 +21,8 @@ const SIDES = [480, 1280];
 const FRAME = 1000 / 30;
 /** Cameras that are shown. */
 const MOST_CAMERAS = 400;
+/** Bytes of changes of splats that are kept. */
+const MOST_CHANGES = 64 << 20;
 /** Sides under which a pane is hidden or folded. */
 const LEAST = 8;
 /** The label of splats that are not shown. */
@@ -43,6 +45,14 @@ export class ScenePane {
     this.view3 = /** @type {SplatView | null} */ (null);
     this.loaded = "";
     this.marked = "";
+    /** The version of what objects change of the splats that are loaded. */
+    this.changed = "";
+    /** The state's revision for which changes were requested last. */
+    this.changedFor = -1;
+    /** The request for changes that is under way. @type {{version: string, stop: AbortController} | null} */
+    this.changing = null;
+    /** Changes by their versions, the newest last: a switch back requests nothing. @type {Map<string, ArrayBuffer>} */
+    this.changes = new Map();
     this.busy = false;
     this.dirty = false;
     this.moved = 0;
@@ -314,6 +324,59 @@ export class ScenePane {
     this.view3?.load(await this.app.run.bytes("splats"));
     this.loaded = wanted;
     this.marked = "";
+    this.changed = "";
+    this.changedFor = -1;
+  }
+
+  /** Forgets the changes of a run. */
+  forget() {
+    this.loaded = "";
+    this.changes.clear();
+    this.changing?.stop.abort();
+    this.changing = null;
+    this.changedFor = -1;
+  }
+
+  /** Shows cut shapes and objects' own appearances as the state has them; those that are not here yet are requested. */
+  followChanges() {
+    const { state } = this.app, version = state?.changes ?? "", known = version ? this.changes.get(version) : null;
+    if (this.changing && this.changing.version !== version) {
+      this.changing.stop.abort();
+      this.changing = null;
+    }
+    if (this.changed === version) return;
+    if (known !== undefined) {
+      this.view3?.change(known);
+      this.changed = version;
+    } else if (!this.changing && state && this.changedFor !== state.revision) {
+      this.requestChanges(version, state.revision);
+    }
+  }
+
+  /** @param {string} version @param {number} revision */
+  async requestChanges(version, revision) {
+    const { app } = this, request = { version, stop: new AbortController() };
+    this.changing = request;
+    this.changedFor = revision;
+    try {
+      const { version: found, bytes } = await app.run.changes(request.stop.signal);
+      if (this.changing !== request) return;
+      // The version is another one where the state has changed since, or splats of an object are lost.
+      this.view3?.change(bytes);
+      this.changed = found;
+      this.changes.delete(found);
+      this.changes.set(found, bytes);
+      let sum = 0;
+      for (const [name, { byteLength }] of [...this.changes].reverse()) {
+        sum += byteLength;
+        if (sum > MOST_CHANGES && name !== found) this.changes.delete(name);
+      }
+    } catch (error) {
+      if (!request.stop.signal.aborted) app.failed(error);
+    }
+    if (this.changing !== request) return;
+    this.changing = null;
+    this.redraw();
   }
 
   /** @param {boolean} whole */
@@ -331,6 +394,7 @@ export class ScenePane {
   async drawHere(whole) {
     const view3 = await this.prepare(), { app } = this, wanted = this.shades();
     if (this.loaded !== wanted) await this.load(wanted);
+    this.followChanges();
     const marked = `${app.state?.revision}/${this.marks}`;
     if (this.marked !== marked) {
       const labels = new Uint8Array(await app.run.bytes("labels"));

@@ -85,6 +85,8 @@ export class SplatView {
     this.textures = /** @type {WebGLTexture[]} */ ([]);
     this.frame = /** @type {WebGLFramebuffer | null} */ (null);
     this.n = 0;
+    /** What changed splats were before, in order. @type {{to: Float32Array, size: number, splats: Uint32Array, before: Float32Array}[]} */
+    this.undoings = [];
     this.shaded = "";
     gl.useProgram(this.program);
     for (const [unit, name] of ["geometry", "colours", "marks"].entries()) gl.uniform1i(this.at(name), unit);
@@ -143,25 +145,70 @@ export class SplatView {
   /** Takes the server's packed arrays. @param {ArrayBuffer} packed */
   load(packed) {
     const [n, degree, compensated] = new Uint32Array(packed, 0, 3), values = new Float32Array(packed, 12), { gl } = this;
-    const h = Math.max(1, Math.ceil(n / ROW)), geometry = new Float32Array(ROW * 3 * h * 4);
+    const h = Math.max(1, Math.ceil(n / ROW));
     this.n = n;
     this.rows = h;
     this.compensated = compensated;
     this.means = values.subarray(0, 3 * n);
+    this.opacities = values.subarray(3 * n, 4 * n);
+    this.covariances = values.subarray(4 * n, 10 * n);
     this.functions = (degree + 1) ** 2;
     this.harmonics = values.subarray(10 * n);
-    for (let i = 0; i < n; i++) {
-      const o = 12 * i;
-      geometry.set(values.subarray(3 * i, 3 * i + 3), o);
-      geometry[o + 3] = values[3 * n + i];
-      geometry.set(values.subarray(4 * n + 6 * i, 4 * n + 6 * i + 6), o + 4);
-    }
-    this.texture(0, ROW * 3, h, gl.RGBA32F, gl.FLOAT, geometry);
+    this.undoings = [];
+    this.texture(0, ROW * 3, h, gl.RGBA32F, gl.FLOAT, this.geometry(0, h));
     this.rgb = new Float32Array(ROW * h * 4);
     this.order = new Uint32Array(n);
     this.depths = new Float32Array(n);
     this.shaded = "";
     this.mark(new Uint8Array(n), () => null);
+  }
+
+  /** Rows of the texture of shapes: centre, opacity, covariance. @param {number} from @param {number} rows */
+  geometry(from, rows) {
+    const { n, means, opacities, covariances } = this, texels = new Float32Array(ROW * 3 * rows * 4);
+    if (!means || !opacities || !covariances) return texels;
+    for (let i = from * ROW, o = 0; i < Math.min(n, (from + rows) * ROW); i++, o += 12) {
+      for (let k = 0; k < 3; k++) texels[o + k] = means[3 * i + k];
+      texels[o + 3] = opacities[i];
+      for (let k = 0; k < 6; k++) texels[o + 4 + k] = covariances[6 * i + k];
+    }
+    return texels;
+  }
+
+  /**
+   * Changes shapes and colours of splats by the server's packed arrays; what an earlier call changed becomes as it was loaded.
+   * @param {ArrayBuffer | null} packed
+   */
+  change(packed) {
+    const { gl, means, covariances, harmonics, functions: K } = this;
+    if (!means || !covariances || !harmonics || !K) return;
+    const touched = /** @type {Set<number>} */ (new Set());
+    /** Takes numbers for splats, and keeps what they were. @param {Float32Array} to @param {number} size @param {Uint32Array} splats @param {Float32Array} values */
+    const take = (to, size, splats, values) => {
+      const before = new Float32Array(values.length);
+      splats.forEach((i, k) => {
+        before.set(to.subarray(size * i, size * (i + 1)), size * k);
+        to.set(values.subarray(size * k, size * (k + 1)), size * i);
+        if (to !== harmonics) touched.add(Math.floor(i / ROW));
+      });
+      return { to, size, splats, before };
+    };
+    for (const { to, size, splats, before } of this.undoings) take(to, size, splats, before);
+    this.undoings = [];
+    if (packed) {
+      const [shapes, colours, degree] = new Uint32Array(packed, 0, 3);
+      if ((degree + 1) ** 2 !== K) return;
+      const cut = new Uint32Array(packed, 12, shapes), floats = new Float32Array(packed, 12);
+      const lit = new Uint32Array(packed, 12 + 40 * shapes, colours);
+      this.undoings = [
+        take(means, 3, cut, floats.subarray(shapes, 4 * shapes)),
+        take(covariances, 6, cut, floats.subarray(4 * shapes, 10 * shapes)),
+        take(harmonics, 3 * K, lit, floats.subarray(10 * shapes + colours)),
+      ];
+    }
+    gl.activeTexture(gl.TEXTURE0);
+    for (const row of touched) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, ROW * 3, 1, gl.RGBA, gl.FLOAT, this.geometry(row, 1));
+    this.shaded = "";
   }
 
   /** Colours splats by their labels; `null` is no mark, and an alpha of 255 hides. @param {Uint8Array} labels @param {(label: number) => number[] | null} colour */

@@ -2,6 +2,7 @@
 
 mod act;
 mod answer;
+mod changes;
 mod export;
 mod show;
 mod state;
@@ -196,6 +197,7 @@ impl Studio {
             appearance: AppearanceMessage::of(&objects.appearance, index),
             corrected: objects.transients.keys().filter_map(|name| index(name)).collect(),
             cut_spikes: !objects.spikes,
+            changes: changes::version_of(objects, |_| true),
             undo: state.document.undo_label(),
             redo: state.document.redo_label(),
             notes: state.notes.clone(),

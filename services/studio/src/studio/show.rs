@@ -182,7 +182,7 @@ impl Studio {
                 let inside = parts.hidden.iter_mut().zip(&selected.labels).filter(|(_, label)| **label);
                 inside.for_each(|(hidden, _)| *hidden = hides);
             }
-            if !objects.spikes && objects.isolated.is_none_or(|id| id == object.id) {
+            if objects.cuts(object) {
                 parts.cut.push(selected);
             }
             if let Some(own) = &object.appearance {

@@ -1,5 +1,6 @@
 //! Every integration test of the crate in one program: it links once.
 
+mod changes;
 mod common;
 
 mod document;
