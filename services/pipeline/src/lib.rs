@@ -51,6 +51,7 @@ mod transients;
 pub use accelerator::accelerator;
 pub use artifacts::cache::{CacheLine, cache_gc, cache_list, cache_verify};
 pub use artifacts::folder::{Loaded, RunFolder, TrainingSnapshot};
+pub use artifacts::history::Moment;
 pub use artifacts::intact::{DamagedFile, verify_selections};
 pub use artifacts::keys::Keys;
 pub use artifacts::prompts::{ObjectQuery, PhotoPrompts, Replay};

@@ -35,6 +35,7 @@
 //! Start reading at [`Studio::act`] in `studio/act.rs`, then `document/mod.rs`; `routes.rs` lists the requests of the page.
 
 pub mod document;
+mod early;
 mod fronts;
 mod guard;
 pub mod messages;

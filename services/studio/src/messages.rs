@@ -2,7 +2,7 @@
 
 use crate::document::{KeptObject, ObjectId};
 use crate::regions::{Combination, Region, RegionRule};
-use segwild_pipeline::{AnswerStep, BlendedAppearance};
+use segwild_pipeline::{AnswerStep, BlendedAppearance, Moment};
 use segwild_scene::{Camera, Pose, Prompts};
 use segwild_segmenter::Alternative;
 use serde::{Deserialize, Serialize};
@@ -43,6 +43,17 @@ pub struct RunDescription {
     /// Whether hovering shows nested groups: there is a scene tree.
     pub tree: bool,
     /// The step of the training that the scene is of; `null` where the training is over.
+    pub snapshot: Option<u32>,
+}
+
+/// A run that is being trained, before and after its first scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct TrainingMessage {
+    /// Names of its photos, as far as they are known.
+    pub photos: Vec<String>,
+    /// Loss, PSNR and splats over the steps, taken evenly up to the last.
+    pub history: Vec<Moment>,
+    /// The step of its newest scene; `null` where there is none yet, or the training is over.
     pub snapshot: Option<u32>,
 }
 

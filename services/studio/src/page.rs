@@ -33,6 +33,7 @@ const FILES: &[PageFile] = files! {
     "splats.js": SCRIPT,
     "status.js": SCRIPT,
     "strings.js": SCRIPT,
+    "training.js": SCRIPT,
 };
 
 /// A file of the page by its name.

@@ -36,6 +36,8 @@ pub(crate) fn routes(runs: Runs) -> Router {
         .route("/api/v1/runs/{run}/events", get(events))
         .route("/api/v1/runs/{run}/act", post(act))
         .route("/api/v1/runs/{run}/train", post(train))
+        .route("/api/v1/runs/{run}/training", get(training))
+        .route("/api/v1/runs/{run}/training/photos/{photo}", get(early_photo))
         .route("/api/v1/runs/{run}/hover", post(hover))
         .route("/api/v1/runs/{run}/pick", post(pick))
         .route("/api/v1/runs/{run}/frame", post(frame))
@@ -201,6 +203,23 @@ async fn train(State(runs): State<Runs>, Path(run): Path<String>) -> Answered {
     Ok(Json(serde_json::json!({ "training": true })).into_response())
 }
 
+/// The photos and the curves of a run, before it has a scene.
+async fn training(State(runs): State<Runs>, Path(run): Path<String>) -> Answered {
+    let found = tokio::task::spawn_blocking(move || runs.training(&run)).await.map_err(|_| broken())?;
+    let none = || Refusal::Because(StatusCode::NOT_FOUND, "there is no such run".into());
+    Ok(Json(found.ok_or_else(none)?).into_response())
+}
+
+async fn early_photo(
+    State(runs): State<Runs>,
+    Path((run, photo)): Path<(String, String)>,
+    Query(PhotoSize { size }): Query<PhotoSize>,
+) -> Answered {
+    let photo = number(&photo)?;
+    let read = move || runs.early_photo(&run, photo, size);
+    Ok(kept_jpeg(tokio::task::spawn_blocking(read).await.map_err(|_| broken())??))
+}
+
 async fn hover(State(runs): State<Runs>, Path(run): Path<String>, body: Bytes) -> Answered {
     let request: HoverRequest = read(&body)?;
     Ok(Json(answered(&runs, &run, move |studio| studio.hover(&request)).await?).into_response())
@@ -233,6 +252,12 @@ fn shown_size() -> u32 {
     1024
 }
 
+/// A photo: it does not change while a session is open.
+fn kept_jpeg(jpeg: Vec<u8>) -> Response {
+    let kept = [(header::CONTENT_TYPE, "image/jpeg"), (header::CACHE_CONTROL, "private, max-age=3600")];
+    (kept, jpeg).into_response()
+}
+
 async fn photo(
     State(runs): State<Runs>,
     Path((run, photo)): Path<(String, String)>,
@@ -240,9 +265,7 @@ async fn photo(
 ) -> Answered {
     let photo = number(&photo)?;
     let jpeg = answered(&runs, &run, move |studio| studio.photo(photo, size)).await?;
-    // Photos do not change while a session is open.
-    let kept = [(header::CONTENT_TYPE, "image/jpeg"), (header::CACHE_CONTROL, "private, max-age=3600")];
-    Ok((kept, jpeg).into_response())
+    Ok(kept_jpeg(jpeg))
 }
 
 async fn labels(State(runs): State<Runs>, Path((run, photo)): Path<(String, String)>) -> Answered {

@@ -1,7 +1,8 @@
 //! The runs that a server has: one, or all of a folder. Sessions are opened when somebody wants them.
 
 use crate::document::JournalError;
-use crate::messages::RunEntry;
+use crate::early::EarlyViews;
+use crate::messages::{RunEntry, TrainingMessage};
 use crate::{Studio, StudioError};
 use segwild_farm::BatchFolder;
 use segwild_flow::{FileError, Stopper, files, lock};
@@ -60,13 +61,20 @@ pub(crate) struct ServedRuns {
     code: Code,
     /// Runs that are being trained again.
     training: Mutex<BTreeMap<String, Child>>,
+    early: EarlyViews,
 }
 
 /// Share of its steps for which a scene is trained on after a correction.
 const CONTINUED: &str = "0.2";
 
 impl ServedRuns {
-    pub fn new(root: &Path, memory_budget: usize, program: Option<PathBuf>, code: Code) -> ServedRuns {
+    pub fn new(
+        root: &Path,
+        memory_budget: usize,
+        program: Option<PathBuf>,
+        code: Code,
+        photos: Option<PathBuf>,
+    ) -> ServedRuns {
         let root = root.canonicalize().unwrap_or_else(|_| root.to_owned());
         ServedRuns {
             // A folder that is not there yet will be a run's.
@@ -78,6 +86,7 @@ impl ServedRuns {
             program,
             code,
             training: Mutex::default(),
+            early: EarlyViews::new(photos),
         }
     }
 
@@ -144,6 +153,21 @@ impl ServedRuns {
             .map_err(|e| FileError::new("start", program, e))?;
         training.insert(name.to_owned(), child);
         Ok(())
+    }
+
+    /// How far a run is before it has a scene; `None` where there is no such run.
+    pub fn training(&self, name: &str) -> Option<TrainingMessage> {
+        let folder = self.folder(name)?;
+        Some(self.early.training(name, &folder))
+    }
+
+    /// A photo of a run that may have no scene yet, as JPEG.
+    ///
+    /// # Errors
+    /// When there is no such run or photo, or it cannot be read any more.
+    pub fn early_photo(&self, name: &str, photo: usize, size: u32) -> Result<Vec<u8>, StudioError> {
+        let folder = self.folder(name).ok_or(StudioError::Request("there is no such run"))?;
+        self.early.photo(name, &folder, photo, size)
     }
 
     /// All runs with their states.

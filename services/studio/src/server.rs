@@ -38,6 +38,8 @@ pub struct ServeOptions {
     pub program: Option<PathBuf>,
     /// The networks and services that clicks use, where runs were made with some.
     pub code: Code,
+    /// The photos of a run that is about to start: shown until it has read them.
+    pub photos: Option<PathBuf>,
 }
 
 impl Default for ServeOptions {
@@ -48,6 +50,7 @@ impl Default for ServeOptions {
             memory_budget: MEMORY_BUDGET,
             program: None,
             code: Code::given(&[]),
+            photos: None,
         }
     }
 }
@@ -80,10 +83,10 @@ impl StudioServer {
 /// # Errors
 /// When the address cannot be listened on, or no secret can be had.
 pub fn serve(folder: &Path, options: ServeOptions) -> Result<StudioServer, ServeError> {
-    let ServeOptions { address, token, memory_budget, program, code } = options;
+    let ServeOptions { address, token, memory_budget, program, code, photos } = options;
     let token = token.map_or_else(Token::random, Ok).map_err(ServeError::Start)?;
     let server = start(address, CONNECTIONS, THREADS, |address| {
-        let runs = Arc::new(ServedRuns::new(folder, memory_budget, program, code));
+        let runs = Arc::new(ServedRuns::new(folder, memory_budget, program, code, photos));
         runs.open_first();
         let guards = Guard { token: token.clone(), address, loopback: address.ip().is_loopback() };
         routes(runs)

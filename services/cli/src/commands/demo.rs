@@ -71,7 +71,7 @@ pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
     let mut settings = Settings::preset(Preset::Draft);
     settings.train.steps = STEPS;
     let run_dir = out.join("run");
-    let page = page_of_run(matches, &run_dir, json)?;
+    let page = page_of_run(matches, &scene_dir, &run_dir, json)?;
     let stopper = Stopper::new();
     let summary = run_scene(&scene_dir, &run_dir, &settings, None, json, stopper.clone())?;
     if !json {

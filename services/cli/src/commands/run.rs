@@ -73,7 +73,7 @@ pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
         return tell_plan(&scene, &out, &settings, until, json);
     }
     let _server = listen(matches, out.clone(), false)?;
-    let page = page_of_run(matches, &out, json)?;
+    let page = page_of_run(matches, &scene, &out, json)?;
     if page.is_some() {
         // The page shows the scene as it was at the last checkpoint.
         settings.run.checkpoint_every = settings.run.checkpoint_every.min(PAGE_CHECKPOINTS);

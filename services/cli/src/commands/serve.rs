@@ -102,14 +102,19 @@ pub fn serve_args(command: Command) -> Command {
         .arg(flag("open", "Open the page in the browser").requires("serve"))
 }
 
-/// The page of a run that is about to start, if it is requested.
-pub fn page_of_run(matches: &ArgMatches, folder: &Path, json: bool) -> Result<Option<StudioServer>, Failure> {
+/// The page of a run of photos that is about to start, if it is requested.
+pub fn page_of_run(
+    matches: &ArgMatches,
+    photos: &Path,
+    folder: &Path,
+    json: bool,
+) -> Result<Option<StudioServer>, Failure> {
     if !matches.get_flag("serve") {
         return Ok(None);
     }
     let code = Code::given(&args::given(matches));
-    let server =
-        on_loopback(folder, ServeOptions { program: own_program(), code, ..ServeOptions::default() })?;
+    let (program, photos) = (own_program(), Some(photos.to_owned()));
+    let server = on_loopback(folder, ServeOptions { program, code, photos, ..ServeOptions::default() })?;
     let line = format!("the page: {}", server.address());
     // With `--json` standard output has objects only.
     if json {
@@ -151,7 +156,8 @@ fn page(folder: &Path, listen: Option<SocketAddr>, matches: &ArgMatches) -> Resu
         token_for(address, matches, "for a token that only this terminal shows; HTTP is not encrypted")?;
     let code = Code::given(&args::given(matches));
     let mib = *matches.get_one::<u32>("session-memory").expect("it has a default") as usize;
-    let options = ServeOptions { address, token, memory_budget: mib << 20, program: own_program(), code };
+    let (memory_budget, program) = (mib << 20, own_program());
+    let options = ServeOptions { address, token, memory_budget, program, code, photos: None };
     Ok(if listen.is_some() { serve_page(folder, options)? } else { on_loopback(folder, options)? })
 }
 

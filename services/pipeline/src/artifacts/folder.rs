@@ -434,15 +434,27 @@ impl RunFolder {
         Ok(Loaded { settings, scene, model, field })
     }
 
+    /// The photos and cameras of a run, trained or not.
+    ///
+    /// # Errors
+    /// When the run has not read them yet, or they are gone.
+    pub fn scene(&self) -> Result<Scene, RunError> {
+        self.scene_with(&self.settings()?, &self.intake()?)
+    }
+
+    fn scene_with(&self, settings: &Settings, intake: &Intake) -> Result<Scene, RunError> {
+        // The model has imported splats already: their file may be gone.
+        let settings = SceneSettings { imported_splats: String::new(), ..settings.scene.clone() };
+        Ok(match intake.posed {
+            true => self.open_posed(&intake.scene, &settings)?,
+            false => Scene::open(&intake.scene, &settings)?,
+        })
+    }
+
     /// The run's scene, if it is that of a model.
     fn scene_of(&self, settings: &Settings, model: &Model) -> Result<Scene, RunError> {
         let intake = self.intake()?;
-        // The model has imported splats already: their file may be gone.
-        let settings = SceneSettings { imported_splats: String::new(), ..settings.scene.clone() };
-        let scene = match intake.posed {
-            true => self.open_posed(&intake.scene, &settings)?,
-            false => Scene::open(&intake.scene, &settings)?,
-        };
+        let scene = self.scene_with(settings, &intake)?;
         if scene.views.iter().map(|v| &v.name).ne(&model.names) {
             let reason = format!(
                 "the photos of {} have changed since this run: run again to bring it up to date",

@@ -23,6 +23,13 @@ pub struct Moment {
     pub left_out: f32,
 }
 
+impl RunFolder {
+    /// How the training went until now.
+    pub fn moments(&self) -> Vec<Moment> {
+        read(self)
+    }
+}
+
 /// Reads the history; lines that are cut short are left out.
 pub fn read(folder: &RunFolder) -> Vec<Moment> {
     let text = segwild_flow::files::read_plain(&folder.history()).unwrap_or_default();

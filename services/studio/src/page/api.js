@@ -12,6 +12,8 @@
  * @typedef {{name: string, provider: string, splats: number, size: number, photos: Photo[], centre: number[], up: number[],
  *   listed: Listed[], palette: number[][], tree: boolean, snapshot: number | null}} Description
  */
+/** @typedef {{step: number, loss: number, psnr: number, splats: number, left_out: number}} Moment */
+/** @typedef {{photos: string[], history: Moment[], snapshot: number | null}} Training */
 /** @typedef {{photo: number | null, towards: number | null, share: number}} Appearance */
 /**
  * @typedef {{id: number, name: string, colour: number, visible: boolean, locked: boolean, appearance: Appearance | null,
@@ -58,6 +60,16 @@ export class Run {
   /** @returns {Promise<Description>} */
   describe() {
     return getJson(this.base);
+  }
+
+  /** The photos and the curves of a run that may have no scene yet. @returns {Promise<Training>} */
+  training() {
+    return getJson(`${this.base}/training`);
+  }
+
+  /** @param {number} photo @param {number} size */
+  earlyPhoto(photo, size) {
+    return `${this.base}/training/photos/${photo}?size=${size}`;
   }
 
   /** @param {string} path @param {unknown} body @param {AbortSignal} [signal] */

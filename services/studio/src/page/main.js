@@ -8,6 +8,7 @@ import { ScenePane } from "./scene.js";
 import { actionOf, keysOf, shortcuts, shown } from "./shortcuts.js";
 import { StatusPane } from "./status.js";
 import { text } from "./strings.js";
+import { TrainingPane } from "./training.js";
 
 /** @typedef {import("./api.js").State} State */
 /** @typedef {import("./api.js").Prompts} Prompts */
@@ -54,6 +55,9 @@ export class App {
     this.scenePane = new ScenePane(this);
     this.side = new Side(this);
     this.statusPane = new StatusPane(this);
+    this.trainingPane = new TrainingPane(this);
+    /** Whether the run has no scene yet. */
+    this.waiting = false;
   }
 
   /** @param {string} what */
@@ -86,6 +90,7 @@ export class App {
     this.run = new Run(name);
     location.hash = encodeURIComponent(name);
     const { run } = this;
+    let early = false;
     for (;;) {
       try {
         this.description = await run.describe();
@@ -94,11 +99,18 @@ export class App {
         if (run !== this.run) return;
         const state = error instanceof Refused ? error.body?.state : null;
         this.say(state === "training" ? text("training") : state === "opening" ? text("opening") : String(/** @type {any} */ (error).message), true);
-        if (state === "training" && this.view !== "status") this.setView("status");
+        if (state === "training") {
+          const there = await this.trainingPane.show();
+          if (run !== this.run) return;
+          if (there && !early) {
+            early = true;
+            this.waits(true);
+            if (this.view === "status") this.setView("both");
+          } else if (!there && !early && this.view !== "status") this.setView("status");
+        }
         await new Promise(done => setTimeout(done, state === "training" ? 10 * AGAIN : AGAIN));
       }
     }
-    if (this.view === "status") this.setView("both");
     this.say("");
     document.title = `segwild · ${name}`;
     this.photo = same ?? Math.max(0, this.description.photos.findIndex(photo => !photo.held_out));
@@ -112,6 +124,8 @@ export class App {
     this.photoPane.open();
     if (same === null) this.scenePane.through(this.photo);
     else this.scenePane.redraw();
+    this.waits(false);
+    if (this.view === "status") this.setView("both");
     let connected = true;
     this.source = run.follow(state => this.update(state), now => {
       if (now !== connected) this.say(now ? "" : text("lost"), !now);
@@ -123,11 +137,12 @@ export class App {
   /** While the scene is trained: asks for newer ones, and says how far it is. */
   async followTraining() {
     const { run, description } = this;
-    if (description.snapshot === null) return this.side.training("");
-    const view = await getJson("/api/v1/status").catch(() => null);
+    if (description.snapshot === null) return this.side.training("", []);
+    const training = await run.training().catch(() => null), view = await getJson("/api/v1/status").catch(() => null);
     const stages = view?.stages ?? [], busy = stages.filter((/** @type {any} */ s) => s.state === "running");
     const words = busy.map((/** @type {any} */ s) => `${s.name} ${s.done}/${s.total}`).join(", ");
-    this.side.training(text("trained_to", description.snapshot, words));
+    if (run !== this.run) return;
+    this.side.training(text("trained_to", description.snapshot, words), training?.history ?? []);
     try {
       const { snapshot } = await run.describe();
       if (run !== this.run) return;
@@ -186,7 +201,14 @@ export class App {
 
   /** @param {"photo" | "scene"} pane */
   shows(pane) {
-    return this.view === "both" || this.view === pane;
+    return !this.waiting && (this.view === "both" || this.view === pane);
+  }
+
+  /** Shows the training in the stead of photo and scene, or no longer. @param {boolean} waiting */
+  waits(waiting) {
+    if (waiting === this.waiting) return;
+    this.waiting = waiting;
+    this.setView(this.view);
   }
 
   /** @param {string} view */
@@ -195,6 +217,7 @@ export class App {
     document.body.dataset.view = view;
     of("photo").hidden = !this.shows("photo");
     of("scene").hidden = !this.shows("scene");
+    of("early").hidden = !this.waiting || view === "status";
     of("status").hidden = view !== "status";
     for (const button of of("views").querySelectorAll("button")) {
       button.setAttribute("aria-pressed", String(button.dataset.view === view));

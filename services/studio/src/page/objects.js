@@ -4,6 +4,7 @@ import { bounds, decode } from "./overlay.js";
 import { LEVELS } from "./photos.js";
 import { keysOf } from "./shortcuts.js";
 import { text } from "./strings.js";
+import { curves } from "./training.js";
 
 /** @typedef {import("./main.js").App} App */
 /** @typedef {import("./api.js").Item} Item */
@@ -267,9 +268,10 @@ export class Side {
     of("listed").replaceChildren(element("h2", {}, text("listed")), element("ul", {}, ...tiles));
   }
 
-  /** Says how far the training is. @param {string} words */
-  training(words) {
+  /** Says how far the training is. @param {string} words @param {import("./api.js").Moment[]} history */
+  training(words, history) {
     of("training").textContent = words;
+    of("curves").replaceChildren(...curves(history));
   }
 
   /** Tooltips of buttons that undo and redo. */

@@ -33,6 +33,8 @@ export const strings = {
   short_delete: "delete", short_rename: "rename",
   first_inside: "Click inside the object first.", lost: "The server does not answer. Nothing is lost; the page tries again.",
   opening: "The scene is being loaded.", training: "The scene is being trained. Prompts are possible once it is there.",
+  early_pane: "The training", early: "The scene is being trained", early_photos: "{0} photos.", early_step: "Step {0}, {1} splats.",
+  curves_pane: "Curves of the training", curve_loss: "Loss", curve_psnr: "PSNR", curve_of: "{0}: from {1} to {2}, steps {3} to {4}",
   trained_to: "The scene after {0} steps of its training. {1}", training_pane: "Training",
   keys: "Keys and mouse", close: "Close", region_new: "A new object is made of what is marked; select an object to change it.",
   rule_centre: "centres", rule_visible: "visible only", rule_footprint: "footprint",

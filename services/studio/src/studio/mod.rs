@@ -8,6 +8,7 @@ mod show;
 mod state;
 mod transients;
 
+pub(crate) use show::{JPEG_QUALITY, three_planes};
 pub use state::{ANSWER_COLOUR, COLOURS, Studio, StudioError};
 
 use crate::document::{Journal, JournalEntry};

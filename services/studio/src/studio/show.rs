@@ -13,7 +13,7 @@ use segwild_segmenter::scene_tree::{NONE, TreeQuery};
 use std::sync::Arc;
 
 /// Quality of JPEGs that are sent to the page.
-const JPEG_QUALITY: u8 = 88;
+pub(crate) const JPEG_QUALITY: u8 = 88;
 
 /// Photos that are tried for what a pixel of the 3D view shows.
 const TRIED_PHOTOS: usize = 8;
@@ -293,7 +293,7 @@ fn unit(colour: [u8; 3]) -> [f32; 3] {
 }
 
 /// A photo with exactly three planes.
-fn three_planes(mut image: Image) -> Image {
+pub(crate) fn three_planes(mut image: Image) -> Image {
     if image.channels > 3 {
         image.data.truncate(3 * image.pixels());
         image.channels = 3;
