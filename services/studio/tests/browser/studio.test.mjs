@@ -1,9 +1,11 @@
 // What a person does with the page, in a real browser: from an empty page to an exported file.
 
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
+import { cpSync, mkdtempSync, readFileSync, renameSync, rmSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
 import { after, before, test } from "node:test";
-import { answered, browser, middle, open, serve, state, until } from "./driver.mjs";
+import { answered, browser, middle, open, run, serve, state, until } from "./driver.mjs";
 
 /** @typedef {any} Page */
 
@@ -206,6 +208,142 @@ test("both drawers show the same scene", async t => {
   });
   // JPEG alone costs some; another order of splats or another low-pass filter gives less than 30.
   assert.ok(psnr > 34, `${psnr} dB`);
+});
+
+/** Waits until the browser has rendered the present state. @param {Page} page */
+const rendered = page => until(page, () => {
+  const { scenePane: pane, state } = /** @type {any} */ (window).segwild;
+  return !pane.busy && !pane.dirty && pane.changed === state.changes && pane.marked === `${state.revision}/${pane.marks}`;
+});
+
+/**
+ * How alike the 3D pane's own render is to the server's, in dB, with what objects change and without.
+ * @param {Page} page @returns {Promise<number[]>}
+ */
+async function agreement(page) {
+  await rendered(page);
+  return page.evaluate(async () => {
+    const app = /** @type {any} */ (window).segwild, { view3 } = app.scenePane, view = app.scenePane.full(), { width, height } = view.camera;
+    const pixels = (/** @type {any} */ source) => {
+      const context = new OffscreenCanvas(width, height).getContext("2d");
+      for (const image of source) context?.drawImage(image, 0, 0, width, height);
+      return context?.getImageData(0, 0, width, height).data ?? new Uint8ClampedArray();
+    };
+    const frame = async (/** @type {any} */ more) => createImageBitmap(await app.run.frame({ ...view, marks: false, ...more }));
+    const there = pixels([await frame({})]), backdrop = await frame({ background: true });
+    const alike = () => {
+      view3.draw(view);
+      view3.finish();
+      const here = pixels([backdrop, view3.canvas]);
+      let sum = 0;
+      for (let i = 0; i < here.length; i++) if (i % 4 < 3) sum += (here[i] - there[i]) ** 2;
+      return 10 * Math.log10(255 * 255 / (sum / (here.length * 0.75)));
+    };
+    const changed = alike();
+    view3.change(null);
+    const plain = alike();
+    app.scenePane.changed = "";
+    app.scenePane.changedFor = -1;
+    app.scenePane.redraw();
+    return [changed, plain];
+  });
+}
+
+/** How alike what the 3D pane shows on the screen is to the server's render, in dB. @param {Page} page @returns {Promise<number>} */
+async function onScreen(page) {
+  const png = (await page.locator("#space").screenshot()).toString("base64");
+  return page.evaluate(async (/** @type {string} */ png) => {
+    const app = /** @type {any} */ (window).segwild, view = app.scenePane.full(), { width, height } = view.camera;
+    const pixels = (/** @type {any} */ image) => {
+      const context = new OffscreenCanvas(width, height).getContext("2d");
+      context?.drawImage(image, 0, 0, width, height);
+      return context?.getImageData(0, 0, width, height).data ?? new Uint8ClampedArray();
+    };
+    const screen = new Image();
+    screen.src = `data:image/png;base64,${png}`;
+    await screen.decode();
+    const here = pixels(screen), there = pixels(await createImageBitmap(await app.run.frame({ ...view, marks: false })));
+    let sum = 0;
+    for (let i = 0; i < here.length; i++) if (i % 4 < 3) sum += (here[i] - there[i]) ** 2;
+    return 10 * Math.log10(255 * 255 / (sum / (here.length * 0.75)));
+  }, png);
+}
+
+test("the browser renders cut spikes and objects' own appearances as the server does", async t => {
+  const page = await opened(t);
+  await click(page);
+  await page.keyboard.press("Enter");
+  await until(page, () => /** @type {any} */ (window).segwild.item !== null);
+  await page.keyboard.press("t");
+  await page.locator("#marks").click();
+  await page.keyboard.press("i");
+  await until(page, () => /** @type {any} */ (window).segwild.first.scene && /** @type {any} */ (window).segwild.state.isolated !== null);
+  await page.locator("#rendered-by").click();
+  await page.locator("#frusta").click();
+  await rendered(page);
+  const screen = [await onScreen(page)], cut = await agreement(page);
+  const version = (await state(page)).changes;
+  await page.locator("#spikes").click();
+  await until(page, () => /** @type {any} */ (window).segwild.state.changes === "");
+  const spikes = await agreement(page);
+  // Another appearance than the scene's, for the object alone.
+  await page.locator("#blend select").first().selectOption({ index: 2 });
+  await until(page, () => /** @type {any} */ (window).segwild.state.objects[0].appearance !== null);
+  const lit = await agreement(page);
+  // Undo takes back both; the cut is known already, so nothing is sent for it.
+  const sent = /** @type {string[]} */ ([]);
+  page.on("request", (/** @type {any} */ request) => sent.push(request.url()));
+  await page.locator("#space").focus();
+  await page.keyboard.press("Control+z");
+  await page.keyboard.press("Control+z");
+  await until(page, wanted => /** @type {any} */ (window).segwild.state.changes === wanted, version);
+  const undone = await agreement(page);
+  assert.deepEqual(sent.filter(url => url.endsWith("/changes")), []);
+  await page.locator("#marks").click();
+  await clear(page);
+  await until(page, () => /** @type {any} */ (window).segwild.scenePane.changed === "");
+  await page.locator("#marks").click();
+  await rendered(page);
+  screen.push(await onScreen(page));
+  await page.locator("#rendered-by").click();
+  await until(page, () => !/** @type {any} */ (window).segwild.scenePane.busy);
+  screen.push(await onScreen(page));
+  const figures = JSON.stringify({ cut, spikes, lit, undone, screen });
+  t.diagnostic(figures);
+  assert.ok([cut, spikes, lit, undone].every(([psnr]) => psnr > 40), figures);
+  // Without what the objects change, the render is another one.
+  assert.ok([cut, lit, undone].every(([psnr, plain]) => psnr > plain + 3) && spikes[0] === spikes[1], figures);
+  assert.ok(screen.every(psnr => psnr > 36), figures);
+  assert.equal(await page.evaluate(() => /** @type {any} */ (window).segwild.scenePane.view3.undoings.length), 0);
+});
+
+test("a run that has no scene yet shows its photos and its curves, and then the scene", async t => {
+  const dir = mkdtempSync(join(tmpdir(), "early-")), folder = join(dir, "early");
+  cpSync(run, folder, { recursive: true });
+  renameSync(join(folder, "model.bin"), join(dir, "model.bin"));
+  rmSync(join(folder, "checkpoints"), { recursive: true, force: true });
+  const early = await serve([], folder), context = await chromium.newContext(), page = await context.newPage();
+  t.after(async () => {
+    await context.close();
+    early.child.kill("SIGKILL");
+    rmSync(dir, { recursive: true, force: true });
+  });
+  await page.goto(early.address);
+  await until(page, () => document.querySelectorAll("#early-curves path").length === 2);
+  await until(page, () => /** @type {HTMLImageElement | null} */ (document.querySelector("#early-photos img"))?.naturalWidth);
+  assert.ok(await page.locator("#early-photos img").count() > 3);
+  assert.ok(await page.locator("#early").isVisible() && !await page.locator("#scene").isVisible());
+  await page.evaluate(axe);
+  const found = await page.evaluate(() => /** @type {any} */ (window).axe.run());
+  assert.deepEqual(found.violations.map((/** @type {any} */ v) => `${v.id}: ${v.nodes.map((/** @type {any} */ n) => n.target).join(" ")}`), []);
+  await page.locator("#views button[data-view='status']").click();
+  assert.ok(!await page.locator("#early").isVisible());
+  await page.locator("#views button[data-view='both']").click();
+  assert.ok(await page.locator("#early").isVisible());
+  renameSync(join(dir, "model.bin"), join(folder, "model.bin"));
+  await until(page, () => /** @type {any} */ (window).segwild.first.scene);
+  assert.ok(!await page.locator("#early").isVisible() && await page.locator("#scene").isVisible());
+  assert.equal(await page.locator("#curves path").count(), 0);
 });
 
 test("marks by hand make and change an object", async t => {

@@ -199,10 +199,48 @@ fn a_run_that_is_not_trained_yet_is_waited_for() {
     let server = serve(&dir.path().join("later"), ServeOptions::default()).unwrap();
     let response = get(&server, "/api/v1/runs/later");
     assert!(is(&response, 202) && response.contains("not trained yet"), "{response}");
+    let training = || get(&server, "/api/v1/runs/later/training");
+    assert!(training().ends_with(r#"{"photos":[],"history":[],"snapshot":null}"#), "{}", training());
+    assert!(is(&get(&server, "/api/v1/runs/nobody/training"), 404));
     let (own, folder) = run();
+    let model = std::fs::read(folder.path().join("model.bin")).unwrap();
+    std::fs::remove_file(folder.path().join("model.bin")).unwrap();
+    std::fs::remove_dir_all(folder.path().join("checkpoints")).unwrap();
     std::fs::rename(folder.path(), dir.path().join("later")).unwrap();
+    // The photos and the curves are there before the first scene.
+    assert!(is(&get(&server, "/api/v1/runs/later"), 202));
+    assert!(training().contains("\"psnr\":") && training().contains("photo_003.png\""), "{}", training());
+    let photo = |n: &str| get(&server, &format!("/api/v1/runs/later/training/photos/{n}"));
+    assert!(is(&photo("0?size=64"), 200) && photo("0?size=64").contains("image/jpeg"));
+    assert!(is(&photo("999"), 400) && is(&photo("%2e%2e"), 404));
+    std::fs::write(dir.path().join("later/model.bin"), model).unwrap();
     opened(&server, "later");
     drop(own);
+}
+
+#[test]
+fn the_photos_of_a_run_that_is_about_to_start_are_shown() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = dir.path().join("photos");
+    std::fs::create_dir(&photos).unwrap();
+    let grey = segwild_scene::Image::filled(40, 30, 3, 0.5);
+    ["b.jpg", "a.jpg"].iter().for_each(|name| std::fs::write(photos.join(name), grey.to_jpeg(90)).unwrap());
+    let options = ServeOptions { photos: Some(photos), ..ServeOptions::default() };
+    let server = serve(&dir.path().join("later"), options).unwrap();
+    let training = get(&server, "/api/v1/runs/later/training");
+    assert!(training.contains(r#""photos":["a.jpg","b.jpg"]"#), "{training}");
+    assert!(is(&get(&server, "/api/v1/runs/later/training/photos/1"), 200));
+    assert!(is(&get(&server, "/api/v1/runs/later/training/photos/2"), 400));
+}
+
+#[test]
+fn what_objects_change_is_sent_with_its_version() {
+    let (_dir, folder) = run();
+    let server = serve(folder.path(), ServeOptions::default()).unwrap();
+    let name = folder.path().file_name().unwrap().to_str().unwrap().to_owned();
+    opened(&server, &name);
+    let response = get(&server, &format!("/api/v1/runs/{name}/changes"));
+    assert!(is(&response, 200) && response.contains("segwild-version: \r\n"), "{response}");
 }
 
 #[test]
