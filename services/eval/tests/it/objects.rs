@@ -58,21 +58,20 @@ fn report(name: &str, scores: &[ObjectScore]) {
 
 #[test]
 fn one_click_per_object_finds_it_whatever_stands_before_it() {
-    for (occlusion, floor) in FLOORS {
-        let dir = tempfile::tempdir().unwrap();
-        let trial = trained(dir.path(), &SyntheticOptions { occlusion, ..options() });
-        let settings = settings();
-        let scores = trial.objects(&settings, |_| {}).unwrap();
-        report(&format!("occlusion {occlusion}"), &scores);
-        assert!(scores.len() >= 6, "{} objects", scores.len());
-        assert!(mean(&scores, |s| s.iou) > floor, "mean IoU {:.3}", mean(&scores, |s| s.iou));
-        let leak = scores.iter().map(|s| s.occluded_leak).fold(0.0, f64::max);
-        assert!(leak < 0.01, "{:.1} % of the occluded wall was selected", 100.0 * leak);
-    }
+    let dir = tempfile::tempdir().unwrap();
+    let trial = trained(dir.path(), &SyntheticOptions { occlusion: OCCLUSION, ..options() });
+    let scores = trial.objects(&settings(), |_| {}).unwrap();
+    report(&format!("occlusion {OCCLUSION}"), &scores);
+    assert!(scores.len() >= 6, "{} objects", scores.len());
+    assert!(mean(&scores, |s| s.iou) > FLOOR, "mean IoU {:.3}", mean(&scores, |s| s.iou));
+    let leak = scores.iter().map(|s| s.occluded_leak).fold(0.0, f64::max);
+    assert!(leak < 0.01, "{:.1} % of the occluded wall was selected", 100.0 * leak);
 }
 
-/// Share of the photos that transients cover, and the mean IoU that photos of this size and number must reach then.
-const FLOORS: [(f32, f64); 2] = [(0.0, 0.65), (0.25, 0.5)];
+/// Share of the photos that transients cover. CI measures a tenth in its quality slice.
+const OCCLUSION: f32 = 0.25;
+/// The mean IoU that photos of this size and number must reach then.
+const FLOOR: f64 = 0.5;
 
 #[test]
 fn compactness_separates_things_that_resemble_each_other() {
