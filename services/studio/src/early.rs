@@ -3,11 +3,12 @@
 use crate::StudioError;
 use crate::messages::TrainingMessage;
 use crate::studio::{JPEG_QUALITY, three_planes};
+use segwild_flow::lock;
 use segwild_pipeline::{Moment, RunFolder};
 use segwild_scene::{SceneSettings, UnposedPhotos, load_photo};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// Photos that are named at most.
 const MOST_PHOTOS: usize = 2000;
@@ -52,7 +53,7 @@ impl EarlyViews {
 
     /// The photos that the run has read, or else those that it is about to read.
     fn photos_of(&self, name: &str, run: &RunFolder) -> Arc<Vec<TakenPhoto>> {
-        let mut known = self.found.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = lock(&self.found);
         if let Some(photos) = known.get(name) {
             return photos.clone();
         }
