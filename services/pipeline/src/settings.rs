@@ -436,6 +436,16 @@ const RENAMED: [(&str, &str); 8] = [
     ("object_look", "object_appearance"),
 ];
 
+/// Settings of earlier versions that are gone, each with the value at which it did what is always done now. Run folders have
+/// every setting in their file.
+const REMOVED: [(&str, &str); 3] =
+    [("seen", "0"), ("centre_visible", "false"), ("graph_cut_smoothness", "1")];
+
+/// Whether a setting is gone and has the value at which it did what is always done now.
+pub(crate) fn is_removed(name: &str, value: &str) -> bool {
+    REMOVED.contains(&(name, value.trim_end_matches(".0")))
+}
+
 /// What a setting of an earlier version is called now; dashes and underscores are the same.
 pub fn renamed(name: &str) -> Option<&'static str> {
     let name = name.replace('-', "_");
@@ -458,11 +468,14 @@ fn read_pairs(file: &Path, read: std::io::Result<Vec<u8>>) -> Result<Vec<(String
             return Err(wrong(format!("`{table}` must be a table: [{table}]")));
         };
         for (name, value) in content {
+            let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+            if is_removed(name, &value) {
+                continue;
+            }
             if !fields.iter().any(|f| f.name == name) {
                 let now = renamed(name).map_or(String::new(), |now| format!("; it is now `{now}`"));
                 return Err(wrong(format!("[{table}] has no setting `{name}`{now}")));
             }
-            let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
             pairs.push((name.clone(), value));
         }
     }
@@ -601,6 +614,21 @@ mod tests {
         let anchored = settings.anchored();
         assert!(Path::new(&anchored.vision.models).is_absolute());
         assert_eq!(anchored.scene.images, "inside/the/scene", "what is not here is looked for in the scene");
+    }
+
+    #[test]
+    fn the_settings_of_a_run_from_before_some_of_them_were_removed_are_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("segwild.toml");
+        std::fs::write(
+            &file,
+            "[segment]\nseen = 0\ncentre_visible = false\ngraph_cut_smoothness = 1.0\ntau = 0.4\n",
+        )
+        .unwrap();
+        assert_eq!(Settings::layered(Some(&file), &[]).unwrap().segment.tau, 0.4);
+        std::fs::write(&file, "[segment]\nseen = 0.1\n").unwrap();
+        let refused = Settings::layered(Some(&file), &[]).unwrap_err().to_string();
+        assert!(refused.contains("has no setting `seen`"), "{refused}");
     }
 
     #[test]

@@ -1,9 +1,11 @@
 //! The prompts of a selection.
 
+use crate::settings::is_removed;
 use crate::{RunError, RunFolder};
 use segwild_scene::{PointPrompt, Prompts, SceneError};
 use segwild_segmenter::{SegmentError, SegmentSettings};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::collections::HashSet;
 use std::path::Path;
 
@@ -66,7 +68,7 @@ impl Replay {
             }
             other => RunError::Request(other.to_string()),
         })?;
-        match serde_json::from_str(&text) {
+        match serde_json::from_str(&text).map(without_removed).and_then(serde_json::from_value) {
             Ok(Either::Whole(replay)) if replay.object.is_some() || !replay.prompts.is_empty() => Ok(replay),
             Ok(Either::List(prompts)) => Ok(prompts.as_slice().into()),
             _ => Err(RunError::Request(format!(
@@ -84,6 +86,14 @@ impl Replay {
         folder.has_selection(selection)?;
         Replay::read(&folder.selection(selection).join("prompts.json"))
     }
+}
+
+/// A prompts file without the settings that are gone.
+fn without_removed(mut file: Value) -> Value {
+    if let Some(Value::Object(settings)) = file.get_mut("settings") {
+        settings.retain(|name, value| !is_removed(name, &value.to_string()));
+    }
+    file
 }
 
 /// Most clicks and boxes of one selection. A person gives a handful, and a scribble is some hundreds; each costs a mask
@@ -153,6 +163,18 @@ mod tests {
         let message = of(200_000).unwrap_err();
         assert!(message.contains("200000") && message.contains("10000"), "{message}");
         assert!(began.elapsed().as_secs() < 5, "{:?}", began.elapsed());
+    }
+
+    #[test]
+    fn prompts_from_before_some_settings_were_removed_are_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("prompts.json");
+        let text = r#"{"prompts": [{"photo": "a.jpg", "points": [{"x": 1.5, "y": 2, "inside": true}]}],
+            "settings": {"tau": 0.4, "seen": 0.0, "centre_visible": false, "graph_cut_smoothness": 1.0}}"#;
+        std::fs::write(&file, text).unwrap();
+        assert_eq!(Replay::read(&file).unwrap().settings.unwrap().tau, 0.4);
+        std::fs::write(&file, text.replace("\"seen\": 0.0", "\"seen\": 0.2")).unwrap();
+        assert!(Replay::read(&file).is_err());
     }
 
     #[test]
