@@ -9,6 +9,7 @@ pub(crate) mod continued;
 mod coordinator;
 mod diagnostics;
 mod diagram;
+mod examine;
 mod execute;
 mod explain;
 mod finish;

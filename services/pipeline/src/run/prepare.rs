@@ -1,6 +1,7 @@
 //! Prepares a run: opens its ledger, its scene, the providers and the engine, and examines the photos.
 
 use super::diagnostics;
+use super::examine::examine_photos;
 use super::memory;
 use super::options::RunOptions;
 use super::poses::{self, OpenedScene};
@@ -237,13 +238,8 @@ fn examine(
     options: &RunOptions,
 ) -> Result<Digests, RunError> {
     let stopping = || options.stopper.phase() != Phase::Running;
-    let limit = memory::decoding_limit(settings, scene);
-    let digest = |view: usize| {
-        memory::fits_budget(settings, &scene.views[view], limit)?;
-        Ok(photos.digest(view)?)
-    };
-    let read = Digests::read(&photos.store(0), &digest, settings, &stopping)?;
-    let digests = read.without(corrections.unusable());
+    let digest = |view: usize| photos.digest(view);
+    let digests = examine_photos(&photos.store(0), &digest, settings, corrections, &stopping)?;
     if let Some(first) = digests.nothing_left(scene) {
         let reason = format!("no photo can be trained on; of the first: {first}");
         return Err(SceneError::NothingUsable { path: path.to_owned(), reason }.into());

@@ -2,9 +2,9 @@
 
 use super::choice;
 use super::continued::ContinuedTraining;
-use super::memory;
+use super::examine::examine_photos;
 use super::poses::scene_or_photos;
-use crate::artifacts::digests::{Digests, photo_digest};
+use crate::artifacts::digests::photo_digest;
 use crate::artifacts::keys::{End, Keys, TrainingOrigin};
 use crate::transients::Corrections;
 use crate::{RunError, RunFolder, Settings, choose_engine};
@@ -69,12 +69,8 @@ impl Situation {
         let scene = Arc::new(scene);
         // Without a cache: to explain a run changes nothing.
         let photos = PhotoStore::new(scene.clone(), settings.scene.size, 0);
-        let limit = memory::decoding_limit(settings, &scene);
-        let digest = |view: usize| {
-            memory::fits_budget(settings, &scene.views[view], limit)?;
-            Ok(photo_digest(&scene.views[view])?)
-        };
-        let digests = Digests::read(&photos, &digest, settings, &|| false)?.without(corrections.unusable());
+        let digest = |view: usize| photo_digest(&scene.views[view]);
+        let digests = examine_photos(&photos, &digest, settings, &corrections, &|| false)?;
         let named = |settings: &Settings, corrections: &Corrections, end: &End| {
             Keys::of(
                 &scene,
