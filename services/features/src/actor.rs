@@ -18,6 +18,9 @@ pub const EMBEDDING: &str = "embedding";
 
 /// The inputs of the feature field. Each is read when it is needed, so that only indexes grow with the number of photos.
 pub trait FieldInputs: Send + Sync {
+    /// The scene as it was trained.
+    fn scene(&self) -> &Scene;
+
     /// The photo's embedding.
     ///
     /// # Errors
@@ -221,7 +224,7 @@ impl<O: Message + From<FeatureOutcome>> FeatureActor<O> {
         let fewer = if pca.channels < requested && self.settings.keep_variance >= 1.0 { &*fewer } else { "" };
         context.events().info(Some("features"), kept + fewer);
         let targets = InputTargets {
-            scene: self.photos.scene(),
+            scene: inputs.scene(),
             inputs,
             views,
             pca: &pca,

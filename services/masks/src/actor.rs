@@ -2,7 +2,7 @@
 
 use crate::{MaskError, MaskSettings, MaskSource, generate, sasm};
 use segwild_flow::{Actor, ActorFailure, Cache, Context, Key, Message, Origin, Quarantined, Sender, fault};
-use segwild_scene::{Image, LoadedPhoto, Mask, MaskSet, PhotoStore, ReaderError, SceneError};
+use segwild_scene::{Image, LoadedPhoto, Mask, MaskSet, PhotoStore, Pose, ReaderError, SceneError};
 use segwild_vision::{MaskProposer, SkyDetector, VisionError};
 use std::sync::Arc;
 use std::time::Instant;
@@ -62,6 +62,9 @@ impl Message for MaskTask {
 pub trait Snapshot: Send + Sync {
     /// Centres of its splats, for the depth of the prompts.
     fn means(&self) -> &[[f32; 3]];
+
+    /// The pose of a photo's camera in it.
+    fn pose(&self, view: usize) -> Pose;
 
     /// Renders the scene from a photo's camera: planes of RGB in [0, 1].
     fn render(&self, view: usize) -> Result<Image, ReaderError>;
@@ -185,8 +188,8 @@ impl MaskMaker {
         let camera = posed.camera.resized(image.width as u32, image.height as u32);
         let depth = self.depths.relative(sasm::scene_view_depth(self.photos.scene(), posed));
         let failed = |reason| MaskFailure::Masks { name: name(), reason };
-        let plan =
-            sasm::plan(snapshot.means(), &camera, &posed.pose, depth, sky, &self.settings).map_err(failed)?;
+        let plan = sasm::plan(snapshot.means(), &camera, &snapshot.pose(view), depth, sky, &self.settings)
+            .map_err(failed)?;
         Ok(generate(&*self.proposer, image, &plan.points, sky, &self.settings).map_err(failed)?.set)
     }
 }

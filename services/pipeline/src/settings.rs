@@ -138,9 +138,11 @@ macro_rules! compose {
         pub struct Settings { $(#[allow(missing_docs)] pub $field: $group,)+ }
 
         impl Settings {
-    /// The protocol by which held-out photos are scored.
-    pub(crate) fn protocol(&self) -> Protocol {
+    /// The protocol by which held-out photos are scored. `aligned`: training photos were aligned to the splats, so that the
+    /// poses of others have to be fitted too.
+    pub(crate) fn protocol(&self, aligned: bool) -> Protocol {
         match (self.run.scoring, self.train.appearance_model) {
+            (Scoring::Auto, _) if aligned => Protocol::Halves,
             (Scoring::Halves, _)
             | (Scoring::Auto, AppearanceModel::Affine | AppearanceModel::Embed | AppearanceModel::Gsw) => {
                 Protocol::Halves

@@ -14,6 +14,12 @@ pub struct PhotoStore {
     long_side: u32,
     most_bytes: usize,
     cache: Option<Arc<dyn PhotoCache>>,
+    memory: Arc<PhotoMemory>,
+}
+
+/// Photos in memory.
+#[derive(Default)]
+struct PhotoMemory {
     held: Mutex<HeldPhotos>,
     decoded: Condvar,
 }
@@ -32,8 +38,7 @@ impl PhotoStore {
     /// The photos of a scene with a long side of at most `long_side` pixels. Up to `most_bytes` of them are kept; the
     /// photo that was read last is kept whatever its size, unless it is 0.
     pub fn new(scene: Arc<Scene>, long_side: u32, most_bytes: usize) -> PhotoStore {
-        let (held, decoded) = (Mutex::default(), Condvar::new());
-        PhotoStore { scene, long_side, most_bytes, cache: None, held, decoded }
+        PhotoStore { scene, long_side, most_bytes, cache: None, memory: Arc::default() }
     }
 
     /// The store with a cache. Photos whose files are much larger than what is used of them are kept there as well, so that a
@@ -41,6 +46,13 @@ impl PhotoStore {
     #[must_use]
     pub fn with_cache(self, cache: Arc<dyn PhotoCache>) -> PhotoStore {
         PhotoStore { cache: Some(cache), ..self }
+    }
+
+    /// The same photos for the scene with other poses; both stores keep photos together.
+    #[must_use]
+    pub fn posed(&self, scene: Arc<Scene>) -> PhotoStore {
+        let (cache, memory) = (self.cache.clone(), self.memory.clone());
+        PhotoStore { scene, cache, memory, ..*self }
     }
 
     /// The scene.
@@ -79,7 +91,7 @@ impl PhotoStore {
             if !held.in_work.contains(&view) {
                 break;
             }
-            held = self.decoded.wait(held).unwrap_or_else(PoisonError::into_inner);
+            held = self.memory.decoded.wait(held).unwrap_or_else(PoisonError::into_inner);
         }
         held.in_work.push(view);
         drop(held);
@@ -123,7 +135,7 @@ impl PhotoStore {
     }
 
     fn held(&self) -> MutexGuard<'_, HeldPhotos> {
-        lock(&self.held)
+        lock(&self.memory.held)
     }
 }
 
@@ -157,6 +169,6 @@ struct InWork<'a> {
 impl Drop for InWork<'_> {
     fn drop(&mut self) {
         self.store.held().in_work.retain(|&view| view != self.view);
-        self.store.decoded.notify_all();
+        self.store.memory.decoded.notify_all();
     }
 }

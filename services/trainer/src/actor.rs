@@ -169,6 +169,9 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
                 format!("{share:.1} % of the photos' pixels contradict trainings made without them: {then}");
             context.events().info(Some("geometry"), message);
         }
+        for words in trainer.poses_by_points_in_words() {
+            context.events().info(Some("geometry"), words);
+        }
         let stereo_points = trainer.stereo_count();
         if stereo_points > 0 {
             let message = format!(
@@ -210,6 +213,9 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         }
         if !trainer.is_done() {
             return self.send(TrainOutcome::Paused(trainer.steps_done()));
+        }
+        for words in trainer.aligned_poses_in_words() {
+            context.events().info(Some("geometry"), words);
         }
         let skipped = trainer.skipped();
         let model = trainer.finish().map_err(ActorFailure::fatal)?;

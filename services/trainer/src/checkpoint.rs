@@ -71,6 +71,7 @@ fn model_of(state: &TrainState, names: Vec<String>, antialias: bool) -> Model {
         trained_on: state.sampler.views().iter().map(|&v| v as u32).collect(),
         transient_shares: state.robust.shares().to_vec(),
         transient_evidence: state.robust.evidence().to_vec(),
+        refined_poses: state.refined.clone(),
         antialias,
         stats: Stats { step: state.step, psnr: mean_quality(&state.sampler.views(), &state.quality) },
     }

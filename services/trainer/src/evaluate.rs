@@ -1,6 +1,7 @@
 //! Quality on photos that were held out (method, sections 3 and 10).
 
 use crate::TrainError;
+use crate::alignment::{RenderedDepth, align, depth_sum};
 use crate::appearances::{self, LitPixel};
 use crate::light::directions;
 use crate::model::{Model, compose};
@@ -21,7 +22,7 @@ pub enum Protocol {
     /// The whole photo, with no appearance fitted to it.
     Plain,
     /// The appearance is fitted on the left half, the right half is scored (the official protocol of in-the-wild
-    /// scenes).
+    /// scenes). The pose is fitted there as well, if training photos were aligned to the splats.
     Halves,
 }
 
@@ -81,8 +82,11 @@ pub fn evaluate(
             Protocol::Plain => None,
             Protocol::Halves => Some(&left),
         };
-        let Unseen { shown: render, .. } =
-            render_unseen(model, engine, &scene.views[view], &stored, 0, fitted)?;
+        let aligned = match fitted.filter(|_| model.is_aligned()) {
+            Some(fitted) => aligned_unseen(model, engine, &scene.views[view], &stored, fitted)?,
+            None => scene.views[view].clone(),
+        };
+        let Unseen { shown: render, .. } = render_unseen(model, engine, &aligned, &stored, 0, fitted)?;
         let from = if protocol == Protocol::Halves { w / 2 } else { 0 };
         let scored = |i: usize| i % w >= from;
         let (psnr, ssim) = score(&render, photo, scored);
@@ -148,6 +152,32 @@ pub(crate) fn background_of(
         (within(i) && photo.valid(i) && weight > LEAST_SEEN).then(|| (photo.colour(i), weight))
     };
     Background::fit(SkySums::of(camera, pose, 2, seen), prior)
+}
+
+/// A view with its pose aligned to a scene on the pixels of its photo at which `fitted` holds, given the pixels of its full
+/// size.
+fn aligned_unseen(
+    model: &Model,
+    engine: &dyn Rasterizer,
+    view: &View,
+    stored: &Stored,
+    fitted: &dyn Fn(usize) -> bool,
+) -> Result<View, TrainError> {
+    let full = stored.level(0).1.width;
+    let mut aligned = view.clone();
+    for level in [2, 1] {
+        let (level, photo) = stored.level(level);
+        let camera = stored.camera(&view.camera, level);
+        let within = |i: usize| fitted(((i / photo.width) << level) * full + ((i % photo.width) << level));
+        let mut show = |camera: &Camera, pose: &Pose| {
+            let at = View { pose: *pose, ..view.clone() };
+            let Unseen { shown, alpha } = render_unseen(model, engine, &at, stored, level, Some(&within))?;
+            let projected = engine.project(&model.splats, camera, pose, &model.options())?;
+            Ok(RenderedDepth { shown, alpha, depth: depth_sum(&*projected, &model.splats.means, pose)? })
+        };
+        aligned.pose = align(aligned.pose, &camera, photo, &within, &mut show)?;
+    }
+    Ok(aligned)
 }
 
 /// The render from the camera of a photo that was not trained on.

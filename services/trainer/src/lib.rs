@@ -60,7 +60,9 @@
 //! Start reading at `trainer.rs`, then `step.rs`.
 
 mod actor;
+mod alignment;
 mod appearances;
+mod camera_motion;
 mod checkpoint;
 mod choice;
 mod colours;
@@ -80,8 +82,12 @@ mod params;
 mod photometric;
 mod photos;
 mod pixels;
+mod pose_refinement;
 mod posed;
+mod poses_by_points;
 mod preparation;
+mod refined_pose;
+mod resection;
 mod sampler;
 mod schedule;
 mod settings;
@@ -105,6 +111,7 @@ pub use foreign_light::ForeignLight;
 pub use light::{SceneLight, SceneLighting, render_lit};
 pub use model::{Model, Stats, render_view};
 pub use photos::{Photos, Sifted, TrainPhoto};
+pub use refined_pose::{RefinedBy, RefinedPose};
 pub use segwild_nn::{Lpips, LpipsError, LpipsNet};
 pub use segwild_objective::GswWidth;
 pub use segwild_objective::background::Background;

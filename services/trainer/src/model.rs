@@ -3,11 +3,14 @@
 use crate::TrainError;
 use crate::appearances;
 use crate::params::{select, splats_fit};
+use crate::refined_pose::{RefinedBy, RefinedPose, with_poses};
 use crate::state::appearance_fits;
 use segwild_objective::background::{BASES, Background, add_background};
 use segwild_objective::{AnyAppearance, VisibleSplats};
 use segwild_raster::{Channels, Frame, ProjectOptions, Rasterizer};
-use segwild_scene::{Camera, Image, Pose, Splats};
+use segwild_scene::{Camera, Image, Pose, Scene, Splats};
+use std::borrow::Cow;
+use std::sync::Arc;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// A trained scene: splats, and the appearance and background of each photo.
@@ -32,6 +35,8 @@ pub struct Model {
     /// Per view of the scene, the share of its photo that contradicts trainings made without it, in more than what is
     /// undertrained; `None` where that was not searched for.
     pub transient_evidence: Vec<Option<f32>>,
+    /// Per view of the scene, its refined pose; `None` where the given one stays.
+    pub refined_poses: Vec<Option<RefinedPose>>,
     /// Whether opacities are compensated for the pixel filter; splats must be rendered as they were trained.
     pub antialias: bool,
     /// Progress of the training.
@@ -63,10 +68,14 @@ impl Model {
             return damaged(&error.to_string());
         }
         let views = self.names.len();
+        if !self.refined_poses.iter().flatten().all(RefinedPose::is_sound) {
+            return damaged("a refined pose is none");
+        }
         let sound = |b: &Background| (1..=BASES).contains(&b.coefficients.len());
         if self.backgrounds.len() != views
             || self.transient_shares.len() != views
             || self.transient_evidence.len() != views
+            || self.refined_poses.len() != views
             || self.trained_on.iter().any(|&v| v as usize >= views)
         {
             return damaged("its lists of photos differ in length");
@@ -81,6 +90,19 @@ impl Model {
             return damaged("its appearance does not fit its splats");
         }
         Ok(())
+    }
+
+    /// The scene as it was trained: with its refined poses.
+    pub fn posed(&self, scene: &Arc<Scene>) -> Arc<Scene> {
+        match with_poses(scene, &self.refined_poses) {
+            Cow::Borrowed(_) => scene.clone(),
+            Cow::Owned(posed) => Arc::new(posed),
+        }
+    }
+
+    /// Whether a photo was aligned to the splats. Then a held-out photo's pose is fitted as its appearance is.
+    pub fn is_aligned(&self) -> bool {
+        self.refined_poses.iter().flatten().any(|refined| refined.by == RefinedBy::Photo)
     }
 
     /// The splats at `keep`, in that order, with all that belongs to them.

@@ -54,6 +54,11 @@ impl Posed {
         residual.iter().zip(self.trusted(photo)).map(|(r, t)| r * (1.0 - t)).collect()
     }
 
+    /// Number of points that it saw.
+    pub fn sighted(&self) -> usize {
+        self.sightings.len()
+    }
+
     fn of(view: &View) -> Posed {
         Posed { name: view.name.clone(), camera: view.camera, pose: view.pose, sightings: Vec::new() }
     }

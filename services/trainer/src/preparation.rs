@@ -1,9 +1,11 @@
-//! What comes before a training: the search for initial transients, and stereo initialisation. It lies above `trainer.rs`:
+//! What comes before a training: poses by points, the search for initial transients, and stereo initialisation. It lies above `trainer.rs`:
 //! the search makes trainers of its own.
 
 use crate::colours::coloured;
 use crate::initial_transients::initial_transients;
 use crate::photos::Photos;
+use crate::poses_by_points::PosesByPoints;
+use crate::refined_pose::with_poses;
 use crate::stereo_points;
 use crate::trainer::{Trainer, photo_cache};
 use crate::{TrainError, TrainSettings};
@@ -24,12 +26,15 @@ impl Trainer {
     ) -> Result<Trainer, TrainError> {
         settings.check()?;
         let settings = settings.decided(scene);
+        let poses = PosesByPoints::of(scene, &settings);
         let mut cache = photo_cache(scene, photos, &settings);
-        let scene = &*coloured(scene, &mut cache, stopping)?;
-        let found = initial_transients(&engine, scene, &mut cache, &settings, stopping)?;
-        let stereo = stereo_points::points(scene, &mut cache, &settings, &found.masks, stopping)?;
+        let refined = with_poses(scene, &poses.refined);
+        let start = &*coloured(&refined, &mut cache, stopping)?;
+        let found = initial_transients(&engine, start, &mut cache, &settings, stopping)?;
+        let stereo = stereo_points::points(start, &mut cache, &settings, &found.masks, stopping)?;
         let robust = ResidualHistograms::new(found.robust_shares(&settings), found.shares.clone());
-        let mut trainer = Trainer::start(engine, scene, cache, settings, 0, &stereo)?;
+        let mut trainer =
+            Trainer::start(engine, start, cache, settings, 0, &stereo)?.with_poses(scene, poses);
         trainer.initial_transient_share = found.mean_share();
         trainer.state.initial_transients = found.masks;
         trainer.state.robust = robust;

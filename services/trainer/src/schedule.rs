@@ -11,6 +11,8 @@ const LATE_DECAY: f32 = 0.2;
 /// hundredths of the steps.
 const MOST_PRUNINGS: u64 = 8;
 const PRUNING_SPAN: (u64, u64) = (24, 88);
+/// Shares of the steps after which photos are aligned to the splats.
+const POSE_REFINEMENTS: [f32; 8] = [0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.65];
 /// Photos rendered for pruning in all, per step at most: with 200 photos, eight prunings took a third as long as the steps.
 const PHOTOS_PER_STEP: f64 = 1.0 / 3.0;
 
@@ -95,6 +97,12 @@ impl Schedule {
         let (from, until) = PRUNING_SPAN;
         let at = |k: u64| steps * (2 * times * from + (until - from) * (2 * k + 1)) / (200 * times);
         (0..times).any(|k| u64::from(step) == at(k)) && step > 0
+    }
+
+    /// Whether photos are aligned to the splats after so many steps.
+    pub fn pose_refinement(&self, step: u32) -> bool {
+        let at = |share: f32| (share * self.steps as f32).round() as u32;
+        step > 0 && POSE_REFINEMENTS.iter().any(|&share| at(share) == step)
     }
 
     /// Steps for which residuals are no evidence of transients, after an opacity reset and where photos grow finer: detail of

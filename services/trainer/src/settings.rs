@@ -77,6 +77,8 @@ segwild_scene::settings! {
         robust: bool = true,
         /// Largest share of a photo that may be left out as transient.
         robust_share: f32 = 0.35 => 0.0..=0.6,
+        /// Refine camera poses that are off by a pixel and more, by aligning photos to the splats between steps.
+        refine_poses: bool = true,
         /// Short trainings on small photos that find initial transients before the training itself: each leaves out a
         /// part of the photos and marks the pixels in them that contradict it. 0 or 2 and more.
         cross_checks: u32 = 2 => 0..=8,

@@ -5,6 +5,7 @@ use crate::density::{Density, Strategy};
 use crate::painter::Painter;
 use crate::params::Params;
 use crate::photometric::PhotoSide;
+use crate::refined_pose::RefinedPose;
 use crate::sampler::Sampler;
 use crate::splat_budget::SplatBudget;
 use segwild_objective::AnyAppearance;
@@ -29,6 +30,10 @@ pub(crate) struct TrainState {
     pub random: Random,
     /// Per view, -10 log10 of the last squared error at the present size.
     pub quality: Vec<Option<f32>>,
+    /// Per view, its refined pose; `None` where the given one stays.
+    pub refined: Vec<Option<RefinedPose>>,
+    /// Per view, whether the points that it saw leave its pose open.
+    pub open_poses: Vec<bool>,
     /// Photos that turned out not to be usable: name and reason.
     pub skipped: Vec<(String, String)>,
     /// Until this step residuals are no evidence of transients.
@@ -64,10 +69,19 @@ impl TrainState {
 
     /// Refuses a state whose parts do not fit each other or the scene.
     pub fn check(&self, views: usize) -> Result<(), TrainError> {
-        let lists = [self.backgrounds.len(), self.quality.len(), self.initial_transients.len()];
+        let lists = [
+            self.backgrounds.len(),
+            self.quality.len(),
+            self.initial_transients.len(),
+            self.refined.len(),
+            self.open_poses.len(),
+        ];
         let per_view = lists.into_iter().chain([self.robust.shares().len(), self.robust.evidence().len()]);
         if per_view.into_iter().any(|n| n != views) || self.sampler.views().iter().any(|&v| v >= views) {
             return Err(TrainError::Checkpoint("it is damaged: its lists of photos differ in length".into()));
+        }
+        if !self.refined.iter().flatten().all(RefinedPose::is_sound) {
+            return Err(TrainError::Checkpoint("it is damaged: a refined pose is none".into()));
         }
         let size = self.appearance.as_appearance().embedding_size();
         if !appearance_fits(&self.appearance, views)

@@ -56,6 +56,7 @@ impl Trainer {
         };
         self.state.appearance.as_appearance_mut().step(self.schedule.late_factor(step));
         self.state.step += 1;
+        self.refine_poses()?;
         let dropped = self.prune_unsupported()?;
         let mut change = self.control_density()?;
         if dropped > 0 {

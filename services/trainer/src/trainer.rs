@@ -7,6 +7,8 @@ use crate::initial::{Eye, initial_splats};
 use crate::params::{Params, Rates};
 use crate::photos::{Photos, Stored, TrainPhotoCache};
 use crate::posed::{Posed, posed};
+use crate::poses_by_points::PosesByPoints;
+use crate::refined_pose::with_poses;
 use crate::sampler::Sampler;
 use crate::schedule::Schedule;
 use crate::splat_budget::SplatBudget;
@@ -15,7 +17,7 @@ use crate::{TrainError, TrainSettings};
 use segwild_nn::Lpips;
 use segwild_objective::transients::ResidualHistograms;
 use segwild_objective::{DeviceTraining, Engine};
-use segwild_scene::{Camera, Mask, Point, Random, Scene, Skipped};
+use segwild_scene::{Camera, Mask, Point, Pose, Random, Scene, Skipped};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -51,6 +53,8 @@ pub struct Trainer {
     pub(crate) settings: TrainSettings,
     pub(crate) schedule: Schedule,
     pub(crate) views: Vec<Posed>,
+    /// Their poses as given; those of the views may be refined.
+    pub(crate) given: Vec<Pose>,
     pub(crate) photos: TrainPhotoCache,
     warnings: Vec<String>,
     pub(crate) state: TrainState,
@@ -78,9 +82,18 @@ impl Trainer {
     ) -> Result<Trainer, TrainError> {
         settings.check()?;
         let settings = settings.decided(scene);
+        let poses = PosesByPoints::of(scene, &settings);
         let mut cache = photo_cache(scene, photos, &settings);
-        let scene = coloured(scene, &mut cache, &|| false)?;
-        Trainer::start(engine, &scene, cache, settings, 0, &[])
+        let refined = with_poses(scene, &poses.refined);
+        let coloured = coloured(&refined, &mut cache, &|| false)?;
+        Ok(Trainer::start(engine, &coloured, cache, settings, 0, &[])?.with_poses(scene, poses))
+    }
+
+    /// The same, started from a scene with poses that its points refined.
+    pub(crate) fn with_poses(mut self, given: &Scene, poses: PosesByPoints) -> Trainer {
+        self.given = given.views.iter().map(|view| view.pose).collect();
+        (self.state.refined, self.state.open_poses) = (poses.refined, poses.open);
+        self
     }
 
     /// Starts from the scene's points and those of `stereo`, on photos that are halved `finest` times at the least.
@@ -136,6 +149,8 @@ impl Trainer {
             sampler: Sampler::new(&train),
             random,
             quality: vec![None; scene.views.len()],
+            refined: vec![None; scene.views.len()],
+            open_poses: vec![false; scene.views.len()],
             skipped,
             pause_until: 0,
             pixel: start.pixel,
@@ -154,15 +169,22 @@ impl Trainer {
         engine: Arc<dyn Engine>,
         settings: TrainSettings,
         schedule: Schedule,
-        views: Vec<Posed>,
+        mut views: Vec<Posed>,
         photos: TrainPhotoCache,
         state: TrainState,
     ) -> Trainer {
+        let given = views.iter().map(|view| view.pose).collect();
+        for (view, refined) in views.iter_mut().zip(&state.refined) {
+            if let Some(refined) = refined {
+                view.pose = refined.pose();
+            }
+        }
         Trainer {
             engine,
             settings,
             schedule,
             views,
+            given,
             photos,
             warnings: Vec::new(),
             state,

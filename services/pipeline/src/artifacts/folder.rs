@@ -35,6 +35,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashSet};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Kind of the record in `model.bin`, and of models in the cache.
 pub(crate) const MODEL: &str = "model";
@@ -451,7 +452,7 @@ impl RunFolder {
         })
     }
 
-    /// The run's scene, if it is that of a model.
+    /// The run's scene as a model was trained, if it is that of the model.
     fn scene_of(&self, settings: &Settings, model: &Model) -> Result<Scene, RunError> {
         let intake = self.intake()?;
         let scene = self.scene_with(settings, &intake)?;
@@ -462,7 +463,7 @@ impl RunFolder {
             );
             return Err(RunError::Folder { path: self.path.clone(), reason });
         }
-        Ok(scene)
+        Ok(Arc::unwrap_or_clone(model.posed(&Arc::new(scene))))
     }
 
     /// The newest checkpoint of a training, as a file and its step; `None` where there is none.

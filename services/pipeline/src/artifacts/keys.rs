@@ -253,7 +253,7 @@ impl Keys {
                 .fold(
                     Key::of("evaluate")
                         .key("geometry", &geometry)
-                        .part("protocol", format!("{:?}", settings.protocol())),
+                        .part("protocol", format!("{:?}", settings.protocol(false))),
                     |key, digest| key.part("lpips", digest),
                 )
                 .finish(),

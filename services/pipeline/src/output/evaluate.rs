@@ -177,9 +177,12 @@ pub(crate) fn held_out(
     if views.is_empty() {
         return Ok(None);
     }
-    let protocol = settings.protocol();
+    let protocol = settings.protocol(model.is_aligned());
     let words = match protocol {
         Protocol::Plain => "whole photo, no appearance fitted",
+        Protocol::Halves if model.is_aligned() => {
+            "appearance and pose fitted on the left half, right half scored"
+        }
         Protocol::Halves => "appearance fitted on the left half, right half scored",
     };
     let source = store.clone();

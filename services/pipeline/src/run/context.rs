@@ -8,6 +8,7 @@ use super::stage::Stage;
 use super::tally::Tally;
 use super::view_slots::ViewSlots;
 use crate::artifacts::cache::{SNAPSHOT, TRAINING};
+use crate::artifacts::cameras;
 use crate::artifacts::checkpoints::Keeper;
 use crate::artifacts::folder::MODEL;
 use crate::artifacts::keys::{Keys, TrainingOrigin};
@@ -32,6 +33,7 @@ pub struct RunContext<'a> {
     pub settings: &'a Settings,
     pub options: &'a RunOptions,
     pub ledger: &'a Ledger,
+    /// Its poses are those of the trained scene, once it is there.
     pub scene: Arc<Scene>,
     /// Its photos, at the size of the training.
     pub photos: Arc<PhotoStore>,
@@ -280,6 +282,12 @@ impl RunContext<'_> {
 
     /// Writes the trained scene into the run folder, also for other programs.
     pub fn take_model(&mut self, model: Arc<Model>) -> Result<(), RunError> {
+        let posed = model.posed(&self.scene);
+        if !Arc::ptr_eq(&posed, &self.scene) {
+            cameras::write(self.folder, &posed)?;
+            self.photos = Arc::new(self.photos.posed(posed.clone()));
+            self.scene = posed;
+        }
         self.folder.write_record("model.bin", MODEL, &*model)?;
         let splats = light::shown(&self.scene, &model, "")?;
         light::export(&self.scene, &model).write(&self.folder.path().join("scene.ply"), &splats)?;

@@ -13,7 +13,7 @@ use segwild_features::{EMBEDDING, FieldInputs, describe};
 use segwild_flow::{ActorFailure, Context};
 use segwild_masks::{MaskMaker, MaskSource, Snapshot};
 use segwild_objective::Engine;
-use segwild_scene::{Embedding, Image, Mask, MaskSet, PhotoStore, ReaderError, Scene};
+use segwild_scene::{Embedding, Image, Mask, MaskSet, PhotoStore, Pose, ReaderError, Scene};
 use segwild_trainer::{Model, TrainPhoto, render_view};
 use segwild_vision::{Embedder, PromptSegmenter};
 use std::sync::Arc;
@@ -29,15 +29,27 @@ pub struct SnapshotRenders {
     pub model: Arc<Model>,
     /// Renders it.
     pub engine: Arc<dyn Engine>,
-    /// The cameras.
+    /// The cameras, as it was trained.
     pub scene: Arc<Scene>,
     /// Long side of the renders in pixels.
     pub size: u32,
 }
 
+impl SnapshotRenders {
+    /// Renders a snapshot of a scene at a long side of so many pixels.
+    pub fn new(model: Arc<Model>, engine: Arc<dyn Engine>, scene: &Arc<Scene>, size: u32) -> SnapshotRenders {
+        let scene = model.posed(scene);
+        SnapshotRenders { model, engine, scene, size }
+    }
+}
+
 impl Snapshot for SnapshotRenders {
     fn means(&self) -> &[[f32; 3]] {
         &self.model.splats.means
+    }
+
+    fn pose(&self, view: usize) -> Pose {
+        self.scene.views[view].pose
     }
 
     fn render(&self, view: usize) -> Result<Image, ReaderError> {
@@ -119,13 +131,8 @@ impl Inputs {
         let model = self.recompute.cache.get_typed::<Model>(&self.keys.snapshot, MODEL)?;
         let model = model.filter(|model| model.check().is_ok());
         let gone = || ActorFailure::retry("the snapshot that they were proposed from has gone, too");
-        let (engine, scene) = (self.engine.clone(), self.recompute.scene.clone());
-        let snapshot = SnapshotRenders {
-            model: Arc::new(model.ok_or_else(gone)?),
-            engine,
-            scene,
-            size: self.photos.long_side(),
-        };
+        let (model, scene) = (Arc::new(model.ok_or_else(gone)?), &self.recompute.scene);
+        let snapshot = SnapshotRenders::new(model, self.engine.clone(), scene, self.photos.long_side());
         let sky = self.skies.read(view)?;
         let render = match self.maker.settings.mask_source {
             MaskSource::Render => Some(snapshot.render(view).map_err(ActorFailure::retry)?),
@@ -136,6 +143,10 @@ impl Inputs {
 }
 
 impl FieldInputs for Inputs {
+    fn scene(&self) -> &Scene {
+        &self.recompute.scene
+    }
+
     fn embedding(&self, view: usize) -> Result<Embedding, ActorFailure> {
         let kept =
             CachedArtefact { view, what: "embedding", kind: EMBEDDING, key: &self.keys.embedding[view] };

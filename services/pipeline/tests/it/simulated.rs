@@ -288,6 +288,7 @@ fn model(scene: &Scene) -> Model {
         trained_on: (0..views as u32).collect(),
         transient_shares: vec![0.0; views],
         transient_evidence: vec![None; views],
+        refined_poses: vec![None; views],
         antialias: true,
         stats: Stats { step: 30, psnr: Some(20.0) },
     }

@@ -218,6 +218,7 @@ impl<'a> Fitter<'a> {
             },
             transient_shares: (0..count).map(shown).collect(),
             transient_evidence: vec![None; count],
+            refined_poses: vec![None; count],
             names: scene.views.iter().map(|view| view.name.clone()).collect(),
             stats: Stats { step: trained_on.len() as u32, psnr: Some(psnr) },
             splats,

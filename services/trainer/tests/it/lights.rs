@@ -72,6 +72,7 @@ fn model(appearance_model: &str, sh_degree: u32) -> Model {
         trained_on: (0..PHOTOS as u32).collect(),
         transient_shares: vec![0.35; PHOTOS],
         transient_evidence: vec![None; PHOTOS],
+        refined_poses: vec![None; PHOTOS],
         antialias: true,
         stats: Stats { step: 1, psnr: None },
     }

@@ -7,6 +7,7 @@ mod cut_outs;
 mod exports;
 mod lights;
 mod perceptual;
+mod poses;
 mod stereo_points;
 mod training;
 mod transients;

@@ -18,6 +18,7 @@ use segwild_flow::{Cache, Key, Ledger, SpanKind, TimelineRecord};
 use segwild_objective::AnyAppearance;
 use segwild_raster::Rasterizer;
 use segwild_scene::{Image, Mask, MaskSet, Skipped};
+use segwild_trainer::RefinedBy;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
@@ -162,7 +163,7 @@ fn fits(folder: &RunFolder, loaded: &Loaded) -> String {
         return String::new();
     }
     fits.sort_by(|a, b| b.1.transient.total_cmp(&a.1.transient).then(a.0.cmp(&b.0)));
-    let head = ["photo", "PSNR over every pixel but the sky (dB)", "taken for transients (%)", "why"];
+    let head = ["photo", "PSNR over every pixel but the sky (dB)", "taken for transients (%)", "why", "pose"];
     let mut rows = vec![head.map(str::to_owned).to_vec()];
     for (view, fit) in fits {
         let evidence = model.transient_evidence[view].map_or_else(
@@ -174,7 +175,17 @@ fn fits(folder: &RunFolder, loaded: &Loaded) -> String {
             _ => format!("transients are possible: {evidence}"),
         };
         let (psnr, share) = (format!("{:.2}", fit.psnr), format!("{:.1}", 100.0 * fit.transient));
-        rows.push(vec![names[view].to_owned(), psnr, share, why]);
+        let pose = model.refined_poses[view].map_or_else(
+            || "as given".to_owned(),
+            |refined| {
+                let by = match refined.by {
+                    RefinedBy::Points => "by its points",
+                    RefinedBy::Photo => "by aligning it to the scene",
+                };
+                format!("refined {by}: {:.2} % of its long side", 100.0 * refined.motion)
+            },
+        );
+        rows.push(vec![names[view].to_owned(), psnr, share, why, pose]);
     }
     format!(
         "<h2>Photos trained on</h2><details><summary>{} photos, those with most transients first</summary>{}</details>",
