@@ -2,11 +2,9 @@
 //!
 //! Boundary IoU is [`segwild_scene::Mask::boundary_iou`] at [`BOUNDARY`].
 
+pub use segwild_pipeline::BOUNDARY;
 use segwild_scene::{Image, Mask};
 use serde::{Deserialize, Serialize};
-
-/// Width of the band of Boundary IoU as a share of the image diagonal.
-pub const BOUNDARY: f32 = 0.02;
 
 /// Why two things cannot be compared.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

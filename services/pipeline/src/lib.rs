@@ -63,7 +63,9 @@ pub use error::RunError;
 pub use import::render_views;
 pub use output::bake::{BakeRequest, Baked, ScenePart, bake};
 pub use output::camera_path::CameraPath;
-pub use output::evaluate::{HeldOut, HeldOutScore, Score, SelectionMaskScore, held_out_render, score};
+pub use output::evaluate::{
+    BOUNDARY, HeldOut, HeldOutScore, Score, SelectionMaskScore, held_out_render, score,
+};
 pub use output::light::{AppearanceRequest, BlendedAppearance, OWN};
 pub use output::objects::{ExportedObjects, ListedObjects, ObjectList, SceneObject};
 pub use output::render::{FRAMES_AROUND, Mode, RenderContent, RenderRequest, RenderedFile, UNSEEN, render};

@@ -157,6 +157,9 @@ struct TrueObject<'a> {
 struct ComparedAnswer {
     /// IoU on each photo with a true mask; none where nothing was selected.
     ious: Vec<f64>,
+    /// Stray light of the object alone: its mean over the photos without prompts, and its worst photo; `None` where nothing was
+    /// selected.
+    stray_light: Option<[f64; 2]>,
     /// Seconds to the last answer.
     select_s: Option<f64>,
     /// Seconds to the first.
@@ -177,8 +180,8 @@ impl ComparedAnswer {
 const SELECTION: &str = "click";
 
 impl TrueObject<'_> {
-    /// The numbers of one prompt: mean IoU over all true masks, the worst photo, seconds to the first and the last answer, the best
-    /// of the answer and its alternatives, and the clicks that it takes to each IoU of [`page::FOUND`].
+    /// The numbers of one prompt: mean IoU over all true masks, the worst photo, stray light, seconds to the first and the last
+    /// answer, the best of the answer and its alternatives, and the clicks that it takes to each IoU of [`page::FOUND`].
     fn numbers(
         &self,
         session: &Session,
@@ -196,6 +199,8 @@ impl TrueObject<'_> {
             ("select_s", answer.select_s),
             ("first_s", answer.first_s),
             ("expected_iou", answer.expected_iou.map(f64::from)),
+            (page::STRAY_LIGHT[0], answer.stray_light.map(|[mean, _]| mean)),
+            (page::STRAY_LIGHT[1], answer.stray_light.map(|[_, worst]| worst)),
         ];
         numbers.extend(known.into_iter().filter_map(|(name, number)| Some((name.to_owned(), number?))));
         // Alternatives come first: what is corrected is the answer, and it is the one saved last.
@@ -259,6 +264,7 @@ impl TrueObject<'_> {
                 let scored = score(session.folder(), SELECTION, self.masks).map_err(failed)?;
                 Ok(ComparedAnswer {
                     ious: scored.photos.iter().map(|photo| photo.iou).collect(),
+                    stray_light: Some([scored.stray_light, scored.worst_stray_light()]),
                     select_s: Some(answer.select_s).filter(|s| s.is_finite()),
                     first_s,
                     expected_iou: answer.segmented.expected_iou,
@@ -268,6 +274,7 @@ impl TrueObject<'_> {
             // Nothing selected is nothing right.
             Err(RunError::Segment(error)) if error.is_nothing() => Ok(ComparedAnswer {
                 ious: Vec::new(),
+                stray_light: None,
                 select_s: None,
                 first_s,
                 expected_iou: None,

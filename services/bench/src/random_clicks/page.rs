@@ -6,6 +6,7 @@ use segwild_eval::metrics::Spread;
 use segwild_eval::record::{Record, Results};
 use segwild_eval::stamp;
 use segwild_flow::files;
+use segwild_pipeline::BOUNDARY;
 use segwild_scene::statistics::interpolated_quantile;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -14,6 +15,8 @@ use std::path::{Path, PathBuf};
 pub const FOUND: [f64; 2] = [0.85, 0.9];
 /// Names of the numbers of clicks to them.
 pub const CLICKS_TO: [&str; 2] = ["clicks_to_85", "clicks_to_90"];
+/// Names of the stray light of an answer: its mean over the photos without prompts, and its worst photo.
+pub const STRAY_LIGHT: [&str; 2] = ["stray_light", "worst_stray_light"];
 
 /// A row of the table: the mean, quartiles and shares of one object's prompts.
 struct ClickRow {
@@ -22,6 +25,7 @@ struct ClickRow {
     found: [f64; 2],
     best: Option<[f64; 2]>,
     clicks_to: Option<[f64; 2]>,
+    stray_light: Option<[f64; 2]>,
     first_s: f64,
     select_s: f64,
 }
@@ -37,13 +41,14 @@ impl ClickRow {
         let share =
             |of: &[f64], least: f64| of.iter().filter(|x| **x >= least).count() as f64 / of.len() as f64;
         let quartile = |share: f64| interpolated_quantile(&ious, share).expect("there are prompts");
-        let (best, clicks_to) = (all("best_iou"), CLICKS_TO.map(all));
+        let (best, clicks_to, stray) = (all("best_iou"), CLICKS_TO.map(all), STRAY_LIGHT.map(all));
         (!ious.is_empty()).then(|| ClickRow {
             mean: mean(&ious),
             quartiles: [0.25, 0.5, 0.75].map(quartile),
             found: FOUND.map(|least| share(&ious, least)),
             best: (!best.is_empty()).then(|| [mean(&best), share(&best, FOUND[0])]),
             clicks_to: (!clicks_to[0].is_empty()).then(|| clicks_to.map(|of| mean(&of))),
+            stray_light: (!stray[0].is_empty()).then(|| stray.map(|of| mean(&of))),
             first_s: mean(&all("first_s")),
             select_s: mean(&all("select_s")),
         })
@@ -65,6 +70,7 @@ impl ClickRow {
             found: [mean(&|r| r.found[0])?, mean(&|r| r.found[1])?],
             best: pair(|r| r.best),
             clicks_to: pair(|r| r.clicks_to),
+            stray_light: pair(|r| r.stray_light),
             first_s: mean(&|r| r.first_s)?,
             select_s: mean(&|r| r.select_s)?,
         })
@@ -76,8 +82,10 @@ impl ClickRow {
         let best = self.best.map_or("- | -".into(), |[mean, found]| format!("{mean:.3} | {found:.2}"));
         let clicks =
             self.clicks_to.map_or("- | -".into(), |[first, second]| format!("{first:.1} | {second:.1}"));
+        let stray =
+            self.stray_light.map_or("- | -".into(), |[mean, worst]| format!("{mean:.3} | {worst:.3}"));
         format!(
-            "{:.3} | {low:.2} / {middle:.2} / {high:.2} | {found:.2} | {well:.2} | {best} | {clicks} | {:.2} | {:.1}",
+            "{:.3} | {low:.2} / {middle:.2} / {high:.2} | {found:.2} | {well:.2} | {best} | {clicks} | {stray} | {:.2} | {:.1}",
             self.mean, self.first_s, self.select_s
         )
     }
@@ -113,9 +121,17 @@ pub fn markdown(results: &Results) -> String {
             FOUND[0], FOUND[1]
         ),
     };
+    let haze = match results.records.iter().any(|r| r.numbers.contains_key(STRAY_LIGHT[0])) {
+        false => String::new(),
+        true => format!(
+            " Stray light is the share of the light of the object alone that is farther from the true mask than {:.0} % of the diagonal: its \
+             mean over the photos with a true mask but the prompted one, and its worst of them. An answer that selects nothing has none.",
+            100.0 * BOUNDARY
+        ),
+    };
     let mut text = format!(
         "# {}\n\nThis page is generated. {}\n\n{how} IoU is the mean over all photos with a true mask, the prompted one too. `best of` is \
-         the best of the answer and the alternatives that it lists.{corrected} Runs train on all photos. Seconds are of the resident session, to \
+         the best of the answer and the alternatives that it lists.{corrected}{haze} Runs train on all photos. Seconds are of the resident session, to \
          the first answer that it publishes and to the last.\n",
         stamp::title(&format!("Single {what}"), &by),
         stamp::stamp(&results.made, &by),
@@ -134,8 +150,8 @@ pub fn markdown(results: &Results) -> String {
         let [found, well] = FOUND;
         let _ = write!(
             text,
-            "\n## {size} px\n\n| scene | object | {what} | mean IoU | quartiles | share >= {found} | share >= {well} | best of: mean | share >= {found} | prompts to {found} | to {well} | s to the first answer | to the last |\n\
-             |---|---|---:|---:|---|---:|---:|---:|---:|---:|---:|---:|---:|\n"
+            "\n## {size} px\n\n| scene | object | {what} | mean IoU | quartiles | share >= {found} | share >= {well} | best of: mean | share >= {found} | prompts to {found} | to {well} | stray light | in the worst photo | s to the first answer | to the last |\n\
+             |---|---|---:|---:|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n"
         );
         let mut rows = Vec::new();
         for (scene, target) in names {
@@ -186,6 +202,8 @@ mod tests {
                 ("best_iou".to_owned(), iou.max(0.5)),
                 (CLICKS_TO[0].to_owned(), 2.0),
                 (CLICKS_TO[1].to_owned(), 4.0),
+                (STRAY_LIGHT[0].to_owned(), 1.0 - iou),
+                (STRAY_LIGHT[1].to_owned(), 1.0 - 0.5 * iou),
                 ("select_s".to_owned(), 1.0),
                 ("first_s".to_owned(), 0.1),
             ]
@@ -197,11 +215,23 @@ mod tests {
         let page = markdown(&Results { records, ..Results::default() });
         assert!(
             page.contains(
-                "| square | a | 3 | 0.900 | 0.85 / 0.90 / 0.95 | 0.67 | 0.67 | 0.900 | 0.67 | 2.0 | 4.0 | 0.10 | 1.0 |"
+                "| square | a | 3 | 0.900 | 0.85 / 0.90 / 0.95 | 0.67 | 0.67 | 0.900 | 0.67 | 2.0 | 4.0 | 0.100 | 0.550 | 0.10 | 1.0 |"
             ),
             "{page}"
         );
         assert!(page.contains("| **mean** | 2 objects | | 0.500 |"), "{page}");
+        assert!(page.contains("| 2.0 | 4.0 | 0.500 | 0.750 | 0.10 | 1.0 |\n"), "{page}");
+        assert!(page.contains("Stray light is") && page.contains("than 2 % of the diagonal"), "{page}");
         assert!(page.contains("built-in"), "{page}");
+    }
+
+    #[test]
+    fn records_without_stray_light_have_an_empty_column() {
+        let numbers = [("iou".to_owned(), 0.5), ("select_s".to_owned(), 1.0), ("first_s".to_owned(), 0.1)];
+        let record =
+            Record { at: Some(320.0), target: "a".into(), numbers: numbers.into(), ..Record::default() };
+        let page = markdown(&Results { records: vec![record], ..Results::default() });
+        assert!(page.contains("| - | - | - | - | - | - | 0.10 | 1.0 |\n"), "{page}");
+        assert!(!page.contains("Stray light is"), "{page}");
     }
 }

@@ -133,8 +133,15 @@ pub struct Score {
     pub unread: Vec<String>,
 }
 
+impl Score {
+    /// The most stray light in a photo without prompts ([`SelectionMaskScore::stray_light`]).
+    pub fn worst_stray_light(&self) -> f64 {
+        self.photos.iter().filter(|p| !p.prompted).map(|p| p.stray_light).fold(0.0, f64::max)
+    }
+}
+
 /// Width of a boundary, and of what counts as near the true mask, as a share of the diagonal.
-const BOUNDARY: f32 = 0.02;
+pub const BOUNDARY: f32 = 0.02;
 
 /// How often a photo is scored before it is left out.
 const ATTEMPTS: u32 = 3;
