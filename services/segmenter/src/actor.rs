@@ -133,6 +133,8 @@ impl SegmentActor {
             |(view, _): &(usize, Prompts)| (self.photos)(*view).map_err(|e| provider(*view, e.to_string()));
         let photos: Vec<Image> = task.prompts.iter().map(read).collect::<Result<_, _>>()?;
         let resident = self.engine.upload_splats(&self.splats).map_err(SegmentError::raster("the scene"))?;
+        let of_scene = self.tree.as_ref().filter(|tree| tree.shown_by.len() == self.splats.len());
+        let seen_once = of_scene.map(|tree| tree.seen_once());
         let blank = Request {
             rasterizer: resident.as_deref().unwrap_or(&*self.engine),
             backend: &*self.engine,
@@ -144,6 +146,7 @@ impl SegmentActor {
             features: self.features.as_deref(),
             graph: self.graph.as_ref(),
             frozen: None,
+            seen_once: seen_once.as_deref(),
             skies: Some(&*self.skies),
             transients: Some(&*self.transients),
             steps: Some(&steps),

@@ -9,7 +9,7 @@ use segwild_scene::{Camera, Image, Mask, Pose, Splats};
 /// Pixels `l_0` added to a splat's footprint when its vote is formed (method, section 6.1): splats much smaller than a pixel
 /// carry little information about where a boundary runs. By choice. IoU by half, half more: +.006, 0 on `sacre_coeur`; 0, +.002
 /// on the demo.
-const VOTE_FLOOR: f32 = 1.0;
+pub(crate) const VOTE_FLOOR: f32 = 1.0;
 
 /// Exponent `q` of coverage evidence (method, section 6.1): where a photo sees a share of a splat's light, its evidence counts
 /// as known by that share to this power. A tenth that shows beside something else determines the side of that tenth, and little

@@ -41,6 +41,7 @@ mod refiner;
 mod request;
 pub mod scene_tree;
 mod screen;
+mod seen_once;
 mod select;
 mod settings;
 mod sgc;

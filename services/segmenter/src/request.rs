@@ -69,6 +69,8 @@ pub struct Request<'a> {
     pub graph: Option<&'a NeighbourGraph>,
     /// Splats that can never be selected, such as the sky; one flag per splat.
     pub frozen: Option<&'a [bool]>,
+    /// Which splats one photo alone shows, if that is known; one flag per splat.
+    pub seen_once: Option<&'a [bool]>,
     /// Reads the skies of the views, if there are any.
     pub skies: Option<&'a MaskReader>,
     /// Reads the transient masks of the views, if there are any.

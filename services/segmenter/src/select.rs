@@ -10,7 +10,7 @@ use crate::settings::{ComponentRule, CutBy, SimilarityUse};
 use crate::steps::AnswerStep;
 use crate::{
     ClickHit, CutView, Evidence, MaskVote, NeighbourGraph, PhotoVisit, Refiner, SegmentError, SpikeCut,
-    SplatFeatures, components, propagate, smooth,
+    SplatFeatures, components, propagate, seen_once, smooth,
 };
 use glam::Vec2;
 
@@ -48,10 +48,13 @@ pub struct Selection {
     pub evidence: Evidence,
     /// The result of each photo that the selection was carried to, in the order of the last round.
     pub visits: Vec<PhotoVisit>,
-    /// The splats that could not be selected: the request's, and those that its boxes bar; `None` where there are none.
+    /// The splats that could not be selected: the request's, those that its boxes bar, and those that one photo alone shows, unless
+    /// the object is seen once itself; `None` where there are none.
     pub frozen: Option<Vec<bool>>,
     /// Connected parts taken away.
     pub parts_removed: usize,
+    /// Splats left out because one photo alone shows them.
+    pub seen_once: usize,
     /// IoU of the selection with the prompted masks, in visible light of the prompted photos.
     pub agreement: f32,
     /// Whether only the prompted photos decide, because the selection drifted to another object in the others.
@@ -98,9 +101,12 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
     // An earlier answer that cannot be given is no reason to stop.
     let publish = |step: AnswerStep, state: &FusionState| {
         if let Some(steps) = request.steps
-            && let Ok(labelled) = labelled(request, &fusion, &prompted, state)
+            && let Ok(Labelled { mut labels, .. }) = labelled(request, &fusion, &prompted, state)
         {
-            steps.publish(step, labelled.labels);
+            if let Some(once) = request.seen_once {
+                seen_once::leave_out(&mut labels, once);
+            }
+            steps.publish(step, labels);
         }
     };
     let (state, visits) = match refiner {
@@ -167,20 +173,27 @@ fn decide(
     state: FusionState,
     visits: Vec<PhotoVisit>,
 ) -> Result<Selection, SegmentError> {
-    let Labelled { labels, parts_removed } = labelled(request, fusion, prompted, &state)?;
+    let Labelled { mut labels, parts_removed } = labelled(request, fusion, prompted, &state)?;
     let sum = |of: &[f32], labelled: bool| -> f64 {
         of.iter().zip(&labels).filter(|(_, l)| **l || !labelled).map(|(x, _)| f64::from(*x)).sum()
     };
     let either = sum(&masks.inside, false) + sum(&masks.outside, true);
     let agreement = if either > 0.0 { sum(&masks.inside, true) / either } else { 1.0 };
+    let left_out = request.seen_once.and_then(|once| seen_once::leave_out(&mut labels, once));
+    // No piece of them joins the object either.
+    let frozen: Option<Vec<bool>> = match (request.frozen, left_out.and(request.seen_once)) {
+        (Some(frozen), Some(once)) => Some(frozen.iter().zip(once).map(|(a, b)| *a || *b).collect()),
+        (frozen, once) => frozen.or(once).map(<[bool]>::to_vec),
+    };
     Ok(Selection {
         labels,
         score: state.probability,
         similarity: fusion.similarities.as_ref().map(|s| s.positive.clone()),
         evidence: state.evidence,
         visits,
-        frozen: request.frozen.map(<[bool]>::to_vec),
+        frozen,
         parts_removed,
+        seen_once: left_out.unwrap_or(0),
         agreement: agreement as f32,
         alone: false,
     })
@@ -276,6 +289,7 @@ fn check(request: &Request) -> Result<(), SegmentError> {
     fits("rows of features", request.features.map_or(n, SplatFeatures::len))?;
     fits("nodes of the neighbour graph", request.graph.map_or(n, NeighbourGraph::len))?;
     fits("frozen flags", request.frozen.map_or(n, <[bool]>::len))?;
+    fits("flags of what is seen once", request.seen_once.map_or(n, <[bool]>::len))?;
     if meant(request).next().is_none() {
         return Err(SegmentError::NoPrompt);
     }

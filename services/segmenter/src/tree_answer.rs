@@ -2,7 +2,7 @@
 
 use crate::scene_tree::{GroupCandidate, NONE, SCENE_AREA, SceneTree, TreeQuery};
 use crate::select::hits;
-use crate::{AnswerStep, Evidence, FirstAnswer, PosedView, PromptedView, Request, SegmentError};
+use crate::{AnswerStep, Evidence, FirstAnswer, PosedView, PromptedView, Request, SegmentError, seen_once};
 use segwild_raster::Channels;
 use segwild_scene::{Image, Mask, Prompts, ScoredMask};
 use segwild_vision::{PromptSegmenter, VisionError};
@@ -119,7 +119,11 @@ impl GroupAnswer {
         let labels = tree.labels(chosen);
         request.wanted()?;
         if let Some(steps) = request.steps {
-            steps.publish(AnswerStep::Tree, labels.clone());
+            let mut shown = labels.clone();
+            if let Some(once) = request.seen_once {
+                seen_once::leave_out(&mut shown, once);
+            }
+            steps.publish(AnswerStep::Tree, shown);
         }
         let mut prior = Evidence::none(labels.len());
         for (i, &label) in labels.iter().enumerate().filter(|(i, _)| tree.leaf[*i] != NONE) {

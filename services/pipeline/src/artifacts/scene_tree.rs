@@ -12,7 +12,7 @@ use segwild_vision::PromptSegmenter;
 pub(crate) const OBJECTS: &str = "objects";
 
 /// Raised when the bytes of a tree of the same input change.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 
 /// Name of the tree of a trained scene, whose boundaries `segmenter` finds.
 pub(crate) fn tree_key(geometry: &str, segmenter: &str) -> Key {
@@ -38,7 +38,8 @@ impl TreeSource<'_> {
     }
 
     /// Reads the tree from the cache, or grows it. `None` where the segmenter finds objects by itself. Photos that cannot be read,
-    /// those held out, and those that see nothing but what enough others see take no part.
+    /// those held out, and those that see nothing but what enough others see take no part; the last are only counted
+    /// ([`SceneTree::shown_by`]).
     ///
     /// # Errors
     /// When the scene cannot be rendered, the cache cannot be read, or `stopping` returns true.
@@ -62,6 +63,7 @@ impl TreeSource<'_> {
             let (width, height) = (camera.width as usize, camera.height as usize);
             let view = builder.see(&PosedView::from(view), width, height)?;
             if !builder.needs(&view) {
+                builder.count(&view);
                 continue;
             }
             let Ok(photo) = self.photos.read(index) else { continue };

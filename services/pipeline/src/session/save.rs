@@ -34,6 +34,8 @@ pub struct SegmentOutcome {
     pub dropped: usize,
     /// Splats of something else that reached into the object: the piece inside is now part of it.
     pub joined: usize,
+    /// Splats that were left out because one photo alone shows them.
+    pub seen_once: usize,
     /// Photos on which the object shows.
     pub photos: usize,
     /// Photos whose own boundaries took part.
@@ -117,6 +119,7 @@ impl Session {
             cut: cut.changed.len() - cut.joined.len(),
             dropped: cut.dropped.len(),
             joined: cut.joined.len(),
+            seen_once: selection.seen_once,
             photos: 0,
             agreement: selection.agreement,
             alone: selection.alone,

@@ -3,6 +3,7 @@
 use super::boundaries::{combined, depth_edges};
 use super::tree::NONE;
 use crate::coverage::unoccluded;
+use crate::seen_once::ShownCounter;
 use crate::{NeighbourGraph, PosedView, SegmentError};
 use rayon::prelude::*;
 use segwild_raster::{Channels, CpuEngine, Frame, FrontLayer, NO_SPLAT, ProjectOptions, Rasterizer};
@@ -80,6 +81,8 @@ pub struct SplatsInView {
     inverse: Frame,
     /// Light in pixels that reaches the view from each splat.
     light: Vec<f32>,
+    /// The light that would if nothing stood before the splat.
+    unoccluded: Vec<f32>,
     /// The splats that it sees, ascending.
     seen: Vec<u32>,
 }
@@ -142,6 +145,8 @@ pub struct TreeBuilder<'a> {
     void: Vec<f32>,
     frame: Vec<f32>,
     borders: Vec<FrontBorder>,
+    /// Counts the photos that show each splat.
+    shown: ShownCounter,
 }
 
 /// An edge between two nodes.
@@ -200,6 +205,7 @@ impl<'a> TreeBuilder<'a> {
             void: vec![0.0; splats.len()],
             frame: vec![0.0; splats.len()],
             borders: Vec::new(),
+            shown: ShownCounter::new(splats.len()),
         }
     }
 
@@ -218,10 +224,11 @@ impl<'a> TreeBuilder<'a> {
             projected.depths().iter().map(|&z| if z > 0.0 { 1.0 / z } else { 0.0 }).collect();
         let inverse = projected.blend(&Channels { count: 1, values: &inverse }).map_err(raster())?;
         drop(projected);
-        let whole = unoccluded(splats, &camera, &view.pose, options);
-        let sees = |&i: &usize| front.shares[i] > MIN_FRONT_SHARE && light[i] > MIN_LIGHT_SHARE * whole[i];
+        let unoccluded = unoccluded(splats, &camera, &view.pose, options);
+        let sees =
+            |&i: &usize| front.shares[i] > MIN_FRONT_SHARE && light[i] > MIN_LIGHT_SHARE * unoccluded[i];
         let seen = (0..splats.len()).filter(sees).map(|i| i as u32).collect();
-        Ok(SplatsInView { front, inverse, light, seen })
+        Ok(SplatsInView { front, inverse, light, unoccluded, seen })
     }
 
     /// Whether enough of the splats that a view sees are seen by few of the views that were added.
@@ -234,10 +241,22 @@ impl<'a> TreeBuilder<'a> {
         fewer(ENOUGH_VIEWS) >= MIN_NEEDED || fewer(FEW_VIEWS) >= MIN_URGENT
     }
 
+    /// Counts the splats that a view shows, for [`SceneTree::shown_by`](super::SceneTree::shown_by). A view that is not needed takes
+    /// part in nothing else; one that is added is counted with it.
+    pub fn count(&mut self, view: &SplatsInView) {
+        self.shown.add(&view.light, &view.unoccluded);
+    }
+
+    /// Per splat, the photos that show it.
+    pub(super) fn shown_by(&self) -> Vec<u16> {
+        self.shown.counts()
+    }
+
     /// Adds a view with the boundaries of its photo: one plane of strengths in [0, 1]. A view with more than 65,535 regions says
     /// nothing of its splats, nor does any after so many views.
     pub fn add(&mut self, view: SplatsInView, photo: &Image) {
-        let SplatsInView { front, inverse, light, seen } = view;
+        self.count(&view);
+        let SplatsInView { front, inverse, light, seen, .. } = view;
         let edges = depth_edges(&inverse);
         let trees: Vec<ContourTree> = CUE_WEIGHTS
             .par_iter()

@@ -34,7 +34,7 @@ impl TreeBuilder<'_> {
     pub fn grow(&self) -> SceneTree {
         let graph = self.graph();
         let trees = graph.grow();
-        SceneTree { leaf: graph.node, trees }
+        SceneTree { leaf: graph.node, trees, shown_by: self.shown_by() }
     }
 }
 

@@ -4,6 +4,7 @@ use super::query::{MIN_AREA, SCENE_AREA, expected};
 use super::tree::{Growth, TREES};
 use super::{GroupCandidate, GroupTree, NONE, SceneTree};
 use crate::PosedView;
+use crate::seen_once::leave_out_of_parts;
 use segwild_raster::{CpuEngine, ProjectOptions, RasterError};
 use segwild_scene::{Mask, Splats};
 
@@ -26,6 +27,8 @@ pub struct SceneParts {
     pub groups: Vec<GroupCandidate>,
     /// Per splat of the scene, the number of its part; 0 where it belongs to none.
     pub labels: Vec<u8>,
+    /// Whether one photo alone shows each splat of the scene; empty where that is not known.
+    pub seen_once: Vec<bool>,
 }
 
 impl SceneParts {
@@ -44,6 +47,8 @@ pub struct PartMap {
     pub height: usize,
     /// Per pixel, row by row, the number of the part; 0 where it shows none.
     pub labels: Vec<u8>,
+    /// Pixels most of which is made up by a splat that one photo alone shows.
+    pub seen_once: usize,
 }
 
 impl PartMap {
@@ -62,8 +67,16 @@ impl PartMap {
             Some(&label) if alpha >= MIN_PART_ALPHA => label,
             _ => 0,
         };
-        let labels = front.splats.iter().zip(&front.alpha.data).map(label).collect();
-        Ok(PartMap { width: front.width, height: front.height, labels })
+        let pixels = || front.splats.iter().zip(&front.alpha.data);
+        let once = |&(&splat, &alpha): &(&u32, &f32)| {
+            alpha >= MIN_PART_ALPHA && parts.seen_once.get(splat as usize) == Some(&true)
+        };
+        Ok(PartMap {
+            width: front.width,
+            height: front.height,
+            labels: pixels().map(label).collect(),
+            seen_once: pixels().filter(once).count(),
+        })
     }
 
     /// By number, the pixels that show each part.
@@ -127,7 +140,8 @@ impl PartMap {
 }
 
 impl SceneTree {
-    /// Lists the scene's parts: groups by their expected IoU with a thing, each without what likelier ones hold.
+    /// Lists the scene's parts: groups by their expected IoU with a thing, each without what likelier ones hold, and without what one
+    /// photo alone shows where others show the part.
     pub fn parts(&self) -> SceneParts {
         let mut found: Vec<GroupCandidate> =
             self.trees.iter().enumerate().flat_map(|(number, tree)| likely(number, tree)).collect();
@@ -165,8 +179,11 @@ impl SceneTree {
             }
             groups.push(group);
         }
-        let labels = self.leaf.iter().map(|&leaf| if leaf == NONE { 0 } else { part_of[leaf as usize] });
-        SceneParts { groups, labels: labels.collect() }
+        let part = |&leaf: &u32| if leaf == NONE { 0 } else { part_of[leaf as usize] };
+        let mut labels: Vec<u8> = self.leaf.iter().map(part).collect();
+        let seen_once = self.seen_once();
+        leave_out_of_parts(&mut labels, &seen_once);
+        SceneParts { groups, labels, seen_once }
     }
 }
 

@@ -13,6 +13,8 @@ pub struct SceneTree {
     pub leaf: Vec<u32>,
     /// The trees, over the same leaves.
     pub trees: Vec<GroupTree>,
+    /// Per splat of the scene, the photos that show it: 1 where one photo alone does (method, section 13).
+    pub shown_by: Vec<u16>,
 }
 
 /// One tree with what is known of its groups.
@@ -52,9 +54,15 @@ impl SceneTree {
         let leaves = self.trees.first().map_or(0, |tree| tree.merges.leaves);
         let whole = |tree: &GroupTree| tree.merges.is_sound(leaves) && tree.groups.len() == tree.merges.len();
         self.leaf.len() == splats
+            && self.shown_by.len() == splats
             && self.trees.len() == TREES.len()
             && self.trees.iter().all(whole)
             && self.leaf.iter().all(|&leaf| leaf == NONE || (leaf as usize) < leaves)
+    }
+
+    /// Whether one photo alone shows each splat of the scene.
+    pub fn seen_once(&self) -> Vec<bool> {
+        self.shown_by.iter().map(|&photos| photos == 1).collect()
     }
 }
 

@@ -4,7 +4,7 @@ use crate::common::{TestRandom, TestWorld, engine, options, posed};
 use glam::Vec3;
 use segwild_raster::{NO_SPLAT, Rasterizer};
 use segwild_scene::Image;
-use segwild_segmenter::scene_tree::{NONE, SceneTree, TreeBuilder, TreeQuery};
+use segwild_segmenter::scene_tree::{NONE, PartMap, SceneParts, SceneTree, TreeBuilder, TreeQuery};
 use segwild_segmenter::{PosedView, hit};
 
 const GREY: [f32; 3] = [0.5, 0.5, 0.5];
@@ -212,6 +212,39 @@ fn a_front_layer_names_the_nearest_opaque_splat_of_each_pixel() {
         let sum: f32 = shares.iter().sum();
         assert!((front.alpha.data[pixel] - sum).abs() < 1e-4);
     }
+}
+
+#[test]
+fn what_hangs_before_one_camera_is_seen_once_and_the_wall_and_the_block_are_not() {
+    let (mut world, views) = (wall_scene(), cameras(1.0));
+    // So near to the first camera that no other has it in its frame.
+    let eye = views[0].pose.centre();
+    let towards = (Vec3::new(0.0, 0.0, 4.0) - eye).normalize();
+    world.disc(3, eye + 0.3 * towards, -towards, 0.02, GREY);
+    let tree = tree(&world, &views, views.len());
+    assert!(tree.fits(world.len()));
+    let seen_once = tree.seen_once();
+    assert_eq!(tree.shown_by[world.len() - 1], 1);
+    assert!(seen_once[world.len() - 1] && world.share(1, &seen_once) == 0.0);
+    assert!(world.share(0, &seen_once) < 0.05, "{}", world.share(0, &seen_once));
+    // Some pixels of the first photo show it more than anything else, and those of other photos show what several do.
+    let parts = SceneParts { labels: vec![0; world.len()], seen_once: world.is(3), ..SceneParts::default() };
+    let pixels =
+        |view: &PosedView| PartMap::render(&world.splats, &options(), view, &parts).unwrap().seen_once;
+    assert!(pixels(&views[0]) > 20 && pixels(&views[4]) == 0, "{} {}", pixels(&views[0]), pixels(&views[4]));
+}
+
+#[test]
+fn views_that_are_not_needed_are_counted() {
+    let (mut world, mut dice) = (TestWorld::default(), TestRandom(7));
+    world.wall(0, Vec3::new(0.0, 0.0, 4.0), 2.6, 24, GREY, &mut dice);
+    let view = posed("photo.jpg", Vec3::ZERO, Vec3::new(0.0, 0.0, 4.0));
+    let mut builder = TreeBuilder::new(&world.splats, options());
+    let seen = builder.see(&view, 80, 60).unwrap();
+    builder.count(&seen);
+    builder.add(seen, &Image::zeros(80, 60, 1));
+    let tree = builder.grow();
+    assert!(tree.shown_by.contains(&2) && tree.shown_by.iter().all(|&photos| photos == 0 || photos == 2));
 }
 
 #[test]

@@ -286,6 +286,32 @@ fn the_cut_makes_the_object_fit_its_mask_better() {
 }
 
 #[test]
+fn what_one_photo_alone_shows_is_left_out_unless_the_object_is_seen_once() {
+    let (world, view) = walls();
+    let (engine, mask) = (engine(), front_mask(&world, &view));
+    let points = [click(80.0, 60.0)];
+    let prompts =
+        [PromptedView { view: 0, mask: &mask, open: None, points: &points, refused: false, boxes: &[] }];
+    let settings = SegmentSettings::default();
+    let request = request(&engine, &world.splats, std::slice::from_ref(&view), &prompts, &settings);
+    let with = |seen_once: &[bool]| select(&Request { seen_once: Some(seen_once), ..request }, None);
+    let whole = select(&request, None).unwrap();
+    let tenth: Vec<bool> = (0..world.len()).map(|i| i % 10 == 0).collect();
+    let without = with(&tenth).unwrap();
+    let left: Vec<bool> = whole.labels.iter().zip(&tenth).map(|(label, once)| *label && !once).collect();
+    assert_eq!(without.labels, left);
+    let count = |labels: &[bool]| labels.iter().filter(|label| **label).count();
+    assert_eq!(without.seen_once, count(&whole.labels) - count(&left));
+    assert!(without.seen_once > 50 && without.agreement == whole.agreement);
+    // No piece of them joins either.
+    assert_eq!(without.frozen, Some(tenth.clone()));
+    // Of one photo all is seen once: the object stays whole.
+    let all = with(&vec![true; world.len()]).unwrap();
+    assert!(all == whole && all.seen_once == 0);
+    assert!(matches!(with(&tenth[1..]), Err(SegmentError::Shape(_))));
+}
+
+#[test]
 fn a_splat_far_from_the_object_gives_it_no_piece_though_masks_hold_half_of_it() {
     // Two needles across the wall's right edge: one lies on the wall, the other five times as far from the camera.
     let (mut world, view) = walls();
@@ -321,6 +347,7 @@ fn a_splat_far_from_the_object_gives_it_no_piece_though_masks_hold_half_of_it() 
         visits: vec![visit],
         frozen: None,
         parts_removed: 0,
+        seen_once: 0,
         agreement: 1.0,
         alone: false,
     };

@@ -82,7 +82,7 @@ pub(crate) fn coco_masks(
     labels: Vec<u8>,
     stopper: &Stopper,
 ) -> Result<Vec<u8>, RunError> {
-    let parts = SceneParts { groups: Vec::new(), labels };
+    let parts = SceneParts { labels, ..SceneParts::default() };
     let file = annotations(scene, model, size, names, &parts, stopper)?;
     serde_json::to_vec(&file).map_err(|e| RunError::Request(e.to_string()))
 }

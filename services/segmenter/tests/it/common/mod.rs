@@ -149,6 +149,7 @@ pub fn request<'a>(
         features: None,
         graph: None,
         frozen: None,
+        seen_once: None,
         skies: None,
         transients: None,
         steps: None,
