@@ -67,7 +67,7 @@ pub use output::evaluate::{
     BOUNDARY, HeldOut, HeldOutScore, Score, SelectionMaskScore, held_out_render, score,
 };
 pub use output::light::{AppearanceRequest, BlendedAppearance, OWN};
-pub use output::objects::{ExportedObjects, ListedObjects, ObjectList, SceneObject};
+pub use output::objects::{ExportedObjects, ListedObjects, ObjectList, SceneObject, SeenOnceShare};
 pub use output::render::{FRAMES_AROUND, Mode, RenderContent, RenderRequest, RenderedFile, UNSEEN, render};
 pub use output::report::write_report;
 pub use output::splat_files::{ConvertedFormat, ExportFormat, SplatTransform};

@@ -1,6 +1,7 @@
 //! Warnings about a scene before anything is computed: a run on a doubtful scene ends like any other, and only its
 //! result would show the fault.
 
+use crate::SeenOnceShare;
 use segwild_scene::Scene;
 use segwild_scene::statistics::upper_median;
 
@@ -20,6 +21,8 @@ const UNLIKE: f32 = 19.0;
 /// Difference in dB between training and held-out photos from which a scene is overfitted. It is 4 dB on good scenes
 /// (`liberty`), and 7 dB on 20 photos of a synthetic scene.
 const OVERFITTED: f32 = 8.0;
+/// Share of a photo's pixels from which it is named among those that alone show something. By choice.
+const SHOWN_ALONE: f32 = 0.01;
 /// How many photos a sentence names.
 const NAMED: usize = 3;
 
@@ -148,6 +151,26 @@ pub(crate) fn overfitted(train: f32, held_out: f32) -> Option<String> {
     })
 }
 
+/// What is reported of splats that one photo alone shows; `None` where there are none.
+pub(crate) fn seen_once(share: &SeenOnceShare) -> Option<String> {
+    let mut photos: Vec<(&String, f32)> = share.photos.iter().map(|(name, share)| (name, *share)).collect();
+    photos.retain(|(_, share)| *share >= SHOWN_ALONE);
+    photos.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(b.0)));
+    let named: Vec<String> =
+        photos.iter().map(|(name, share)| format!("{name} {:.1} %", 100.0 * *share)).collect();
+    let most = if named.is_empty() {
+        String::new()
+    } else {
+        format!("; most of them are in {}, as shares of the pixels", some(&named))
+    };
+    (share.splats > 0.0).then(|| {
+        format!(
+            "{:.1} % of the splats are seen once, by one photo alone, and stay out of objects that others show{most}",
+            100.0 * share.splats
+        )
+    })
+}
+
 fn some(names: &[String]) -> String {
     let more = if names.len() > NAMED { ", .." } else { "" };
     names[..names.len().min(NAMED)].join(", ") + more
@@ -243,6 +266,16 @@ mod tests {
     fn an_overfitted_scene_is_named() {
         assert_eq!(overfitted(25.0, 21.0), None);
         assert!(overfitted(26.3, 16.6).unwrap().contains("9.7 dB"));
+    }
+
+    #[test]
+    fn photos_that_alone_show_much_are_named() {
+        let photos = [("a.jpg", 0.002f32), ("b.jpg", 0.031), ("c.jpg", 0.2)];
+        let photos = photos.map(|(name, share)| (name.to_owned(), share)).into();
+        let words = seen_once(&SeenOnceShare { splats: 0.0412, photos }).expect("there are some");
+        assert!(words.starts_with("4.1 % of the splats are seen once"), "{words}");
+        assert!(words.ends_with("in c.jpg 20.0 %, b.jpg 3.1 %, as shares of the pixels"), "{words}");
+        assert_eq!(seen_once(&SeenOnceShare { splats: 0.0, photos: Default::default() }), None);
     }
 
     #[test]

@@ -51,6 +51,15 @@ impl SceneObject {
     }
 }
 
+/// What of a scene one photo alone shows: nothing else says how far from the photo it is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SeenOnceShare {
+    /// Share of the splats.
+    pub splats: f32,
+    /// Per photo of the training, the share of its pixels that show such a splat more than any other.
+    pub photos: BTreeMap<String, f32>,
+}
+
 /// The objects of a scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ObjectList {
@@ -58,6 +67,9 @@ pub struct ObjectList {
     pub tree: String,
     /// The objects, by their numbers.
     pub objects: Vec<SceneObject>,
+    /// What one photo alone shows; `None` in lists of versions that did not count it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seen_once: Option<SeenOnceShare>,
 }
 
 impl ObjectList {
@@ -205,12 +217,19 @@ impl ListRequest<'_> {
     pub fn list(&self, before: Option<&ObjectList>, stopper: &Stopper) -> Result<ListedObjects, RunError> {
         let parts = self.tree.parts();
         let mut shown = vec![ShownIn::default(); parts.groups.len() + 1];
+        let splats_once = parts.seen_once.iter().filter(|once| **once).count();
+        let mut seen_once = SeenOnceShare {
+            splats: splats_once as f32 / parts.seen_once.len().max(1) as f32,
+            photos: BTreeMap::new(),
+        };
         let training = || (0..self.scene().views.len()).filter(|&view| !self.scene().views[view].test);
         for view in training() {
             if stopper.phase() != Phase::Running {
                 return Err(RunError::Interrupted);
             }
             let map = self.map(view, &parts)?;
+            let share = map.seen_once as f32 / map.labels.len().max(1) as f32;
+            seen_once.photos.insert(self.scene().views[view].name.clone(), share);
             let (counts, rims) = (map.counts(), map.counts_on_frame());
             for ((shown, count), rim) in shown.iter_mut().zip(counts).zip(rims) {
                 shown.photos += usize::from(count >= SHOWS);
@@ -242,7 +261,8 @@ impl ListRequest<'_> {
             let image = self.photos.read(view).ok();
             thumbnails.push(sheet::thumbnail(image.as_ref().map(|loaded| &loaded.image), &mask));
         }
-        Ok(ListedObjects { list: ObjectList { tree: self.key.clone(), objects }, parts, thumbnails })
+        let list = ObjectList { tree: self.key.clone(), objects, seen_once: Some(seen_once) };
+        Ok(ListedObjects { list, parts, thumbnails })
     }
 
     /// The deepest pixel of a mask of a view, in the photo as taken, at full size.

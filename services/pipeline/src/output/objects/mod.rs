@@ -10,4 +10,4 @@ mod sheet;
 pub use export::ExportedObjects;
 pub(crate) use export::{coco_masks, write_objects};
 pub(crate) use list::ListRequest;
-pub use list::{ListedObjects, ObjectList, SceneObject};
+pub use list::{ListedObjects, ObjectList, SceneObject, SeenOnceShare};

@@ -36,9 +36,16 @@ pub(super) fn list(folder: &RunFolder) -> String {
             o.photo.clone(),
         ]
     }));
+    let seen_once = list.seen_once.as_ref().map_or_else(String::new, |once| {
+        format!(
+            "<p>{:.1} % of the splats are seen once, by one photo alone: they are rendered, and left out of objects that other photos \
+             show as well.</p>",
+            100.0 * once.splats
+        )
+    });
     format!(
         "<h2>Objects found without a click</h2><p><code>segwild segment RUN --object N</code> makes a selection of one.</p>\
-         {sheet}<details><summary>{} objects</summary>{}</details>",
+         {seen_once}{sheet}<details><summary>{} objects</summary>{}</details>",
         list.objects.len(),
         html::table(&rows)
     )

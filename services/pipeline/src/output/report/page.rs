@@ -11,7 +11,7 @@ use crate::output::cover::cover;
 use crate::output::evaluate::{HeldOut, HeldOutScore, held_out_render};
 use crate::output::render::{RenderContent, SceneRenderer};
 use crate::transients::{self, TrainFit};
-use crate::{AppearanceChoice, BudgetChoice, RunError, RunFolder, choose_engine, log_loss};
+use crate::{AppearanceChoice, BudgetChoice, ObjectList, RunError, RunFolder, choose_engine, log_loss};
 use segwild_flow::codec::Decode;
 use segwild_flow::ledger::State;
 use segwild_flow::{Cache, Key, Ledger, SpanKind, TimelineRecord};
@@ -163,8 +163,16 @@ fn fits(folder: &RunFolder, loaded: &Loaded) -> String {
         return String::new();
     }
     fits.sort_by(|a, b| b.1.transient.total_cmp(&a.1.transient).then(a.0.cmp(&b.0)));
-    let head = ["photo", "PSNR over every pixel but the sky (dB)", "taken for transients (%)", "why", "pose"];
+    let head = [
+        "photo",
+        "PSNR over every pixel but the sky (dB)",
+        "taken for transients (%)",
+        "why",
+        "pixels of what it alone shows (%)",
+        "pose",
+    ];
     let mut rows = vec![head.map(str::to_owned).to_vec()];
+    let seen_once = ObjectList::read(folder).and_then(|list| list.seen_once);
     for (view, fit) in fits {
         let evidence = model.transient_evidence[view].map_or_else(
             || "no training was made without this photo".to_owned(),
@@ -185,7 +193,9 @@ fn fits(folder: &RunFolder, loaded: &Loaded) -> String {
                 format!("refined {by}: {:.2} % of its long side", 100.0 * refined.motion)
             },
         );
-        rows.push(vec![names[view].to_owned(), psnr, share, why, pose]);
+        let alone = seen_once.as_ref().and_then(|once| once.photos.get(names[view]));
+        let alone = alone.map_or_else(|| "-".to_owned(), |share| format!("{:.1}", 100.0 * *share));
+        rows.push(vec![names[view].to_owned(), psnr, share, why, alone, pose]);
     }
     format!(
         "<h2>Photos trained on</h2><details><summary>{} photos, those with most transients first</summary>{}</details>",

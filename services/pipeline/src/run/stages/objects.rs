@@ -6,6 +6,7 @@ use crate::artifacts::scene_tree::TreeSource;
 use crate::output::objects::{ListRequest, ObjectList};
 use crate::run::after::AfterActors;
 use crate::run::context::RunContext;
+use crate::run::diagnostics;
 use crate::run::need::{Extent, Need};
 use crate::run::node::{Performer, StageNode, StageWork};
 use crate::run::results::StageResults;
@@ -58,7 +59,11 @@ fn list(run: &RunContext<'_>, model: &Model) -> Result<(), RunError> {
         Some(tree) => {
             let (photos, key) = (&*run.photos, source.key().to_string());
             let request = ListRequest { photos, model, tree: &tree, key };
-            request.list(before.as_ref(), &run.options.stopper)?.write(folder)?;
+            let listed = request.list(before.as_ref(), &run.options.stopper)?;
+            listed.write(folder)?;
+            if let Some(words) = listed.list.seen_once.as_ref().and_then(diagnostics::seen_once) {
+                events.info(Some(name), words);
+            }
         }
         None if stopping() => return Err(RunError::Interrupted),
         // The provider finds objects by itself: a list of another provider's tree is of no use.
