@@ -26,6 +26,7 @@ mod contours;
 mod geometry;
 pub mod linkage;
 mod model_file;
+mod model_name;
 mod network_file;
 mod networks;
 mod onnx;
@@ -38,6 +39,7 @@ mod service;
 mod service_address;
 mod service_error;
 mod settings;
+mod survey;
 
 pub use builtin::{
     Builtin, EdgeDetector, PromptInterpretation, PromptQuery, PromptStep, RegionCache, Regions, TraitWeights,
@@ -52,9 +54,10 @@ pub use provider::{
 };
 pub use providers::{BUILT_IN, Providers};
 pub use registry::{Family, ModelFile, models_in};
-pub use sam::Sam;
+pub use sam::{Sam, SamFileError};
 pub use server::{VisionServer, VisionServiceOptions, serve_vision};
 pub use service::{RemoteVision, ServiceTerms};
 pub use service_address::{AddressError, ServiceAddress};
 pub use service_error::{ServiceError, TokenFileError};
 pub use settings::{DeviceChoice, EdgeChoice, ModelChoice, SkyChoice, VisionSettings};
+pub use survey::FileUse;

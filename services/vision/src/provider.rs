@@ -1,6 +1,7 @@
 //! The traits of 2D models. Images are sRGB in [0, 1], three planes; masks have the image's size.
 
 use crate::model_file::ModelFileError;
+use crate::sam::SamFileError;
 use crate::service_error::ServiceError;
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
 use std::path::PathBuf;
@@ -18,6 +19,14 @@ pub enum VisionError {
         file: PathBuf,
         /// What is wrong with it.
         reason: Box<ModelFileError>,
+    },
+    /// A network file is none that answers clicks, or none that is known.
+    #[error("{}: {reason}", file.display())]
+    Sam {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        reason: Box<SamFileError>,
     },
     /// A vision service does not serve.
     #[error(transparent)]

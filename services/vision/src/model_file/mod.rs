@@ -1,8 +1,10 @@
 //! The file of an ONNX network, walked before the runtime loads it: what is refused then cannot harm the process.
 
 mod inspect;
+mod signature;
 mod wire;
 
 pub(crate) use inspect::inspect;
 pub use inspect::{ModelFileError, OnnxError};
+pub(crate) use signature::{GraphSignature, signature};
 pub use wire::WireError;

@@ -1,6 +1,7 @@
 //! A loaded network: its inputs and outputs, and running it within a limit of time.
 
 use super::Runtime;
+use super::half::extract;
 use crate::VisionError;
 use crate::model_file::inspect;
 use ort::session::{RunOptions, Session, SessionInputValue};
@@ -52,6 +53,8 @@ impl TensorSpec {
             Some(TensorElementType::Float32) => "float32".to_owned(),
             Some(TensorElementType::Uint8) => "uint8".to_owned(),
             Some(TensorElementType::Int64) => "int64".to_owned(),
+            Some(TensorElementType::Int32) => "int32".to_owned(),
+            Some(TensorElementType::Float16) => "float16".to_owned(),
             Some(other) => other.to_string(),
         };
         let sizes: Vec<String> = self.shape.iter().map(|n| n.map_or("?".into(), |n| n.to_string())).collect();
@@ -167,11 +170,9 @@ impl NetworkModel {
             })?;
             let answer = |name: &&str| -> Result<NetworkOutput, VisionError> {
                 let value = given.get(name).ok_or_else(|| self.wrong(format!("gave no `{name}`")))?;
-                let (shape, data) = value
-                    .try_extract_tensor::<f32>()
-                    .map_err(|e| self.wrong(format!("gave no numbers as `{name}`: {e}")))?;
-                let shape = shape.iter().map(|&n| usize::try_from(n).unwrap_or(0)).collect();
-                Ok(NetworkOutput { shape, data: data.to_vec() })
+                let (shape, data) =
+                    extract(value).map_err(|e| self.wrong(format!("gave no numbers as `{name}`: {e}")))?;
+                Ok(NetworkOutput { shape, data })
             };
             outputs.iter().map(answer).collect()
         })

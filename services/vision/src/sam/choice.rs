@@ -2,8 +2,8 @@
 
 use super::Sam;
 use crate::onnx::{NetworkDevice, Runtime};
-use crate::registry::{ModelPair, pairs};
 use crate::settings::{DeviceChoice, ModelChoice};
+use crate::survey::{FileUse, ModelPair, ModelSurvey, SurveyedFile, survey};
 use crate::{VisionError, VisionSettings};
 use std::path::Path;
 use std::sync::Arc;
@@ -49,31 +49,23 @@ fn load_first(settings: &VisionSettings, notes: &mut Vec<String>) -> Result<Opti
             settings.sam
         ));
     }
-    let (found, wrong) = pairs(Path::new(&settings.models), &settings.sam);
-    let mut found = found.into_iter();
-    let Some(pair) = found.next() else {
-        return match (wrong.is_empty(), demanded) {
-            (false, _) => missing(wrong.join("; ")),
-            (true, false) => Ok(None),
-            (true, true) => {
-                let stem = if settings.sam.is_empty() { "mobile_sam" } else { &settings.sam };
-                missing(format!(
-                    "SAM is requested, but {} holds no pair of it: `{stem}_encoder.onnx` and `{stem}_decoder.onnx`, for \
-                     instance",
-                    settings.models
-                ))
-            }
-        };
+    let found = survey(Path::new(&settings.models), &settings.sam)?;
+    // A pair that is refused is loaded all the same where there is no other: its error says why.
+    let Some(pair) = found.pairs.first().or(found.refused.first()) else {
+        return without_pair(settings, &found, demanded, notes);
     };
-    notes.extend(wrong.into_iter().map(|w| format!("SAM: not used: {w}")));
-    let others: Vec<String> = found.map(|p| p.stem).collect();
-    if !others.is_empty() {
-        let others = others.join(", ");
+    let loaded = Runtime::find_within(&settings.onnxruntime, settings.network_memory)
+        .and_then(|runtime| load(&runtime, pair, settings, notes));
+    let error = loaded.as_ref().err().map(ToString::to_string);
+    notes.extend(unused(&found, settings).filter(|words| Some(words) != error.as_ref()).map(not_used));
+    let sam = loaded?;
+    let mut stems: Vec<&str> = found.files.iter().filter_map(choosable).collect();
+    stems.dedup();
+    if !stems.is_empty() {
+        let others = stems.join(", ");
         notes.push(format!("SAM: {} is taken; there are {others} as well (choose with `sam`)", pair.stem));
     }
-    let runtime = Runtime::find_within(&settings.onnxruntime, settings.network_memory)?;
-    let sam = load(&runtime, &pair, settings, notes)?;
-    let family = pair.family.map_or("an unknown member of the SAM family", |f| f.name());
+    let family = pair.family.map_or(sam.encoder.interface.kind.name(), |f| f.name());
     let licence = pair.family.map_or("ask where the files came from", |f| f.licence());
     notes.push(format!(
         "SAM: {family} `{}` (encoder {}, decoder {}), on {}; licence: {licence}",
@@ -83,6 +75,75 @@ fn load_first(settings: &VisionSettings, notes: &mut Vec<String>) -> Result<Opti
         if sam.device == NetworkDevice::Cuda { "CUDA" } else { "the CPU" }
     ));
     Ok(Some(Arc::new(sam)))
+}
+
+/// The answer where no pair has both of its parts: what is missing or refused, as far as SAM was requested or is there in part.
+fn without_pair(
+    settings: &VisionSettings,
+    found: &ModelSurvey,
+    demanded: bool,
+    notes: &mut Vec<String>,
+) -> Result<Option<Arc<Sam>>, VisionError> {
+    let refused = found.files.iter().find_map(|file| match &file.usage {
+        FileUse::Refused(reason) => {
+            Some(VisionError::Sam { file: file.path.clone(), reason: Box::new(reason.clone()) })
+        }
+        _ => None,
+    });
+    let halves: Vec<String> =
+        found.files.iter().filter(|file| matches!(file.usage, FileUse::Alone { .. })).map(words).collect();
+    let error = refused.or_else(|| (!halves.is_empty()).then(|| VisionError::Model(halves.join("; "))));
+    let shown = error.as_ref().map(ToString::to_string).unwrap_or_default();
+    let mut others = unused(found, settings).filter(|words| !shown.contains(words));
+    match (error, demanded) {
+        (Some(error), _) => {
+            notes.extend(others.map(not_used));
+            Err(error)
+        }
+        (None, false) => {
+            notes.extend(others.map(not_used));
+            Ok(None)
+        }
+        (None, true) => {
+            let stem = if settings.sam.is_empty() { "mobile_sam" } else { &settings.sam };
+            let also = others.next().map(|words| format!("; {words}")).unwrap_or_default();
+            Err(VisionError::Model(format!(
+                "SAM is requested, but {} holds no pair of it: `{stem}_encoder.onnx` and `{stem}_decoder.onnx`, for \
+                 instance{also}",
+                settings.models
+            )))
+        }
+    }
+}
+
+/// A file and what becomes of it, in words.
+fn words(file: &SurveyedFile) -> String {
+    match &file.usage {
+        FileUse::Refused(reason) => format!("{}: {reason}", file.path.display()),
+        usage => format!("{} {usage}", file.path.display()),
+    }
+}
+
+/// Words on each file that nothing uses and that no choice of a pair would use.
+fn unused(found: &ModelSurvey, settings: &VisionSettings) -> impl Iterator<Item = String> {
+    let elsewhere = Path::new(&settings.transient_network);
+    let is_used = move |file: &SurveyedFile| {
+        let settled = matches!(file.usage, FileUse::Taken | FileUse::Single | FileUse::Choosable { .. });
+        settled || file.path == elsewhere
+    };
+    found.files.iter().filter(move |file| !is_used(file)).map(words)
+}
+
+fn not_used(words: String) -> String {
+    format!("SAM: not used: {words}")
+}
+
+/// The stem of another pair.
+fn choosable(file: &SurveyedFile) -> Option<&str> {
+    match &file.usage {
+        FileUse::Choosable { stem } => Some(stem),
+        _ => None,
+    }
 }
 
 fn load(

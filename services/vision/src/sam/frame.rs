@@ -1,8 +1,8 @@
 //! How a photo lies in a SAM encoder's square input, and the pre-processing for the encoder.
 //!
 //! SAM and MobileSAM: the photo is scaled so that its long side fills the square, standardised, and padded with zeros to
-//! the right and below. EfficientSAM scales and standardises inside the file, each side for itself, so that the photo
-//! fills the whole square.
+//! the right and below. SAM 2 and SAM 3's tracker: each side is scaled for itself, so that the photo fills the whole square.
+//! EfficientSAM does that inside the file.
 
 use segwild_scene::Image;
 
@@ -37,6 +37,11 @@ impl PhotoFit {
         }
     }
 
+    /// Stretched over all of `width` x `height` pixels, which the decoder speaks of.
+    pub fn stretched(photo: [usize; 2], content: [usize; 2]) -> PhotoFit {
+        PhotoFit { photo, content, side: None }
+    }
+
     /// Filling the whole square; the decoder speaks of the photo's own pixels.
     pub fn filling(photo: [usize; 2]) -> PhotoFit {
         PhotoFit { photo, content: photo, side: None }
@@ -65,6 +70,8 @@ impl PhotoFit {
 pub(super) enum Range {
     /// Standardised by [`MEAN`] and [`DEVIATION`].
     Standard,
+    /// In [-1, 1].
+    Centred,
     /// In [0, 1]: the file standardises.
     Unit,
     /// In [0, 255]: the file standardises.
@@ -82,6 +89,7 @@ pub(super) fn prepare(photo: &Image, fit: &PhotoFit, [width, height]: [usize; 2]
         let number = |v: f32| if v.is_finite() { v } else { 0.0 };
         let (value, padding): (Box<dyn Fn(f32) -> f32>, f32) = match range {
             Range::Standard => (Box::new(move |v| (255.0 * number(v) - MEAN[c]) / DEVIATION[c]), 0.0),
+            Range::Centred => (Box::new(move |v| 2.0 * number(v) - 1.0), 0.0),
             Range::Unit => (Box::new(number), MEAN[c] / 255.0),
             Range::Byte => (Box::new(move |v| 255.0 * number(v)), MEAN[c]),
         };
@@ -130,6 +138,10 @@ mod tests {
         assert_eq!(fit.cells(256, 256), [256, 171]); // 170.75
         let whole = PhotoFit::filling([640, 427]);
         assert_eq!((whole.point([320.0, 213.5]), whole.cells(64, 64)), ([320.0, 213.5], [64, 64]));
+        // SAM2Transforms of the published code: each axis by itself, the middle of the photo in the middle of the square.
+        let stretched = PhotoFit::stretched([640, 427], [SIDE, SIDE]);
+        assert_eq!((stretched.point([320.0, 213.5]), stretched.cells(64, 64)), ([512.0, 512.0], [64, 64]));
+        assert_eq!(PhotoFit::stretched([640, 320], [1008, 1008]).point([64.0, 64.0]), [100.8, 201.6]);
     }
 
     #[test]
@@ -159,12 +171,18 @@ mod tests {
         // EfficientSAM: stretched over all of it, in [0, 1], standardised by the file.
         let whole = prepare(&photo, &PhotoFit::filling([2, 1]), [4, 4], Range::Unit);
         assert_eq!((whole.at(0, 0, 0), whole.at(0, 3, 3)), (1.0, 0.2));
+        // SAM 2: stretched by us, standardised. SAM 3: the same in [-1, 1].
+        let stretched = PhotoFit::stretched([2, 1], [4, 4]);
+        let made = prepare(&photo, &stretched, [4, 4], Range::Standard);
+        assert!((made.at(0, 0, 0) - expected[0][0]).abs() < 1e-5 && made.at(0, 0, 0) == made.at(0, 0, 3));
+        let centred = prepare(&photo, &stretched, [4, 4], Range::Centred);
+        assert!((centred.at(1, 0, 3) - 1.0).abs() < 1e-6 && (centred.at(1, 3, 0) + 0.6).abs() < 1e-6);
     }
 
     #[test]
     fn a_pixel_that_is_no_number_does_not_spoil_the_rest() {
         let photo = Image { width: 1, height: 1, channels: 3, data: vec![f32::NAN, f32::INFINITY, 0.5] };
-        for range in [Range::Standard, Range::Unit, Range::Byte] {
+        for range in [Range::Standard, Range::Centred, Range::Unit, Range::Byte] {
             let made = prepare(&photo, &PhotoFit::into([1, 1], [2, 2]), [2, 2], range);
             assert!(made.data.iter().all(|v| v.is_finite()));
         }

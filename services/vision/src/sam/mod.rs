@@ -1,14 +1,16 @@
-//! Networks of the SAM family behind the provider traits: SAM, MobileSAM and EfficientSAM as ONNX exports, an image
-//! encoder and a prompted decoder each.
+//! Networks of the SAM family behind the provider traits: SAM, MobileSAM, EfficientSAM, SAM 2 and SAM 3's tracker as ONNX
+//! exports, an image encoder and a prompted decoder each.
 //!
-//! [`frame`] is the pre-processing, [`encoder`] and [`decoder`] read the shapes of their inputs from their files, [`logits`] is the
-//! post-processing, [`prompt`] turns clicks and boxes into queries. A photo is encoded once and its embedding kept in memory,
+//! [`interface`] recognises the files, [`frame`] is the pre-processing, [`encoder`] and [`decoder`] run the networks, [`logits`] is
+//! the post-processing, [`prompt`] turns clicks and boxes into queries. A photo is encoded once and its embedding kept in memory,
 //! so that every further prompt costs a run of the decoder alone.
 
 mod choice;
 mod decoder;
 mod encoder;
+mod error;
 mod frame;
+mod interface;
 mod logits;
 mod prompt;
 mod refine;
@@ -16,12 +18,14 @@ mod refine;
 use crate::builtin::{Memory, PREPARED, Weighed, check, content};
 use crate::network_file::NetworkFile;
 use crate::onnx::{NetworkDevice, NetworkModel, Options, Runtime};
-use crate::registry::ModelPair;
+use crate::survey::ModelPair;
 use crate::{Embedder, MaskProposer, PromptSegmenter, Prompted, VisionError, VisionSettings, Work};
 pub(crate) use choice::find_pair;
 use decoder::{INSIDE, PromptDecoder, Query};
 use encoder::{Encoded, Encoder};
+pub use error::SamFileError;
 use frame::PhotoFit;
+pub(crate) use interface::{DecoderInterface, EncoderInterface, refuse_concept, refuse_unnamed};
 use logits::{Logits, Upscale, choose, stability};
 use prompt::{Labelled, PromptGroup};
 pub(crate) use refine::{bounds, middle};
@@ -82,8 +86,7 @@ impl Sam {
         };
         let encoder = Encoder::new(NetworkModel::load(runtime, &pair.encoder, options)?)?;
         let decoder = NetworkModel::load(runtime, &pair.decoder, options)?;
-        let fits = (encoder.name(), encoder.shape, encoder.is_efficient());
-        let decoder = PromptDecoder::new(decoder, fits, BATCH)?;
+        let decoder = PromptDecoder::new(decoder, &encoder, BATCH)?;
         Ok(Sam {
             encoder,
             decoder,
@@ -150,7 +153,7 @@ impl Sam {
 
     /// How the decoder's logits lie over a photo.
     fn upscale(&self, encoded: &Encoded, logits: &Logits) -> Upscale {
-        let fit = if self.decoder.full_size { PhotoFit::filling(encoded.fit.photo) } else { encoded.fit };
+        let fit = if self.decoder.full_size() { PhotoFit::filling(encoded.fit.photo) } else { encoded.fit };
         Upscale::new(logits.width, logits.height, &fit)
     }
 
@@ -193,6 +196,11 @@ impl Sam {
             None => Err(VisionError::Model("the decoder gave no mask".into())),
         }
     }
+}
+
+/// The error about a file that was read and cannot be used.
+fn refused(model: &NetworkModel, reason: SamFileError) -> VisionError {
+    VisionError::Sam { file: model.name().into(), reason: Box::new(reason) }
 }
 
 /// The range of a decoder's masks that are candidates. Of four, the first is for precise prompts (several points), and the

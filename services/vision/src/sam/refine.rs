@@ -23,7 +23,9 @@ impl Sam {
         let (encoded, _) = self.encoded(image)?;
         let previous = self.decoder.takes_logits().map(|side| logits_of(certainty, &encoded, side));
         let [low, high] = bounds(&rough);
-        let points = vec![(low, CORNERS[0]), (high, CORNERS[1]), (middle(&rough), INSIDE)];
+        let mut points = vec![(low, CORNERS[0]), (high, CORNERS[1])];
+        points.retain(|_| self.decoder.takes_boxes());
+        points.push((middle(&rough), INSIDE));
         let query = Query { points, previous: previous.as_ref() };
         let began = Instant::now();
         let masks = self.decoder.ask(&encoded, &[query])?.pop().unwrap_or_default();
