@@ -9,7 +9,7 @@ use segwild_gpu::{Adapter, AdapterChoice, GpuEngine};
 use segwild_pipeline::{RunSettings, Settings, SplatTransform, choose_engine};
 use segwild_poses::{Colmap, Ffmpeg};
 use segwild_selftest::check;
-use segwild_vision::{ModelFile, Providers, Runtime, VisionSettings, models_in};
+use segwild_vision::{FileUse, ModelFile, Providers, Runtime, VisionSettings, models_in};
 use std::path::PathBuf;
 
 /// The command's arguments.
@@ -180,17 +180,26 @@ fn accelerator(adapter: &Adapter) -> String {
     )
 }
 
-/// A network file in one line: what it is by its name, how large, its hash, its terms.
+/// A network file in one line: what it is by its name and by its inputs and outputs, how large, its hash, its terms, and what a run
+/// makes of it.
 fn described(file: &ModelFile) -> String {
     let what = match (file.family, file.role) {
         (Some(family), Some(role)) => format!("{}, {role}", family.name()),
-        (None, Some(role)) => format!("{role} of an unknown family (`--sam` takes it by name)"),
-        _ => "a name that is not known: not used".into(),
+        (None, Some(role)) => format!("{role} of an unknown family"),
+        _ => "a name that is not known".into(),
     };
+    let interface = file.interface.map(|kind| format!(", inputs and outputs of {kind}")).unwrap_or_default();
     let licence = file.family.map_or("not known: ask where it came from", |f| f.licence());
     let mb = file.bytes as f64 / 1e6;
+    let usage = match &file.usage {
+        FileUse::Refused(reason) => format!("refused: {reason}"),
+        usage => format!("it {usage}"),
+    };
     match &file.hash {
-        Ok(hash) => format!("{}: {what}, {mb:.1} MB, BLAKE3 {hash}, licence: {licence}", file.name),
+        Ok(hash) => format!(
+            "{}: {what}{interface}, {mb:.1} MB, BLAKE3 {hash}, licence: {licence}; {usage}",
+            file.name
+        ),
         Err(reason) => format!("{}: {what}, cannot be used: {reason}", file.name),
     }
 }

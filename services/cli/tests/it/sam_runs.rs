@@ -89,6 +89,7 @@ fn the_doctor_lists_networks_with_their_hash_and_licence() {
     let hash = blake3::hash(&file).to_hex().to_string();
     let line = page.lines().find(|l| l.contains("mobile_sam_encoder.onnx:")).expect("it is listed");
     assert!(line.contains("MobileSAM, encoder") && line.contains(&hash), "{line}");
+    assert!(line.contains("inputs and outputs of SAM") && line.ends_with("; it is used"), "{line}");
     assert!(line.contains("licence: Apache-2.0"), "{line}");
     assert!(page.contains(
         "edges_bsds.onnx: edge network, boundaries, cannot be used: is no network: it is an image"

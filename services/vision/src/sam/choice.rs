@@ -60,6 +60,7 @@ fn load_first(settings: &VisionSettings, notes: &mut Vec<String>) -> Result<Opti
     notes.extend(unused(&found, settings).filter(|words| Some(words) != error.as_ref()).map(not_used));
     let sam = loaded?;
     let mut stems: Vec<&str> = found.files.iter().filter_map(choosable).collect();
+    stems.sort_unstable();
     stems.dedup();
     if !stems.is_empty() {
         let others = stems.join(", ");

@@ -4,6 +4,8 @@ mod builtin;
 mod networks;
 mod photos;
 mod sam;
+mod sam2;
 mod sam_files;
+mod sam_folder;
 mod service;
 mod toy;

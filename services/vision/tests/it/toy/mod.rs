@@ -4,6 +4,7 @@
 #![allow(dead_code, reason = "each test file uses a part of it")]
 
 pub mod onnx;
+pub mod sam2;
 
 use onnx::{Attribute::*, FLOAT, INT64, OPEN, OnnxGraph, UINT8};
 use std::path::Path;
@@ -189,7 +190,9 @@ pub fn decoder(d: ToyDecoder) -> Vec<u8> {
         let share = g.op("Div", &[&at, &width_height], vec![]);
         at = g.op("Mul", &[&share, &side], vec![]);
     }
-    let logits = logits(&mut g, &d, &at, &label);
+    let previous = (!d.efficient).then_some(["mask_input", "has_mask_input"]);
+    let from = LogitSources { embedding: "image_embeddings", previous, grid: [64, 16], masks: d.masks };
+    let logits = logits(&mut g, &from, &at, &label);
 
     // [Q, M, 64, 64] -> [Q, M, 256, 256]
     let scales = g.floats(&[4], &[1.0, 1.0, 4.0, 4.0]);
@@ -227,24 +230,35 @@ pub fn decoder(d: ToyDecoder) -> Vec<u8> {
     g.file()
 }
 
-/// `[Q, N, 2]` positions and `[Q, N]` labels to `[Q, M, 64, 64]` logits.
-fn logits(g: &mut OnnxGraph, d: &ToyDecoder, at: &str, label: &str) -> String {
-    let flat = g.ints(&[2], &[256, 4096]);
-    let cells = g.op("Reshape", &["image_embeddings", &flat], vec![]);
+/// What the logits are made of: names of values in the graph, and sizes.
+struct LogitSources<'a> {
+    embedding: &'a str,
+    /// Logits of an earlier answer, and whether there are any.
+    previous: Option<[&'a str; 2]>,
+    /// Cells along a side, and pixels along a side of a cell.
+    grid: [i64; 2],
+    masks: i64,
+}
+
+/// `[Q, N, 2]` positions and `[Q, N]` labels to `[Q, M, n, n]` logits, with n = 64 in SAM's.
+fn logits(g: &mut OnnxGraph, from: &LogitSources, at: &str, label: &str) -> String {
+    let [n, pixels] = from.grid;
+    let flat = g.ints(&[2], &[256, n * n]);
+    let cells = g.op("Reshape", &[from.embedding, &flat], vec![]);
     let (colours, positions) = (g.ints(&[3], &[0, 1, 2]), g.ints(&[2], &[3, 4]));
     let colours = g.op("Gather", &[&cells, &colours], vec![("axis", Int(0))]);
     let positions = g.op("Gather", &[&cells, &positions], vec![("axis", Int(0))]);
     // The cell under each point.
-    let (sixteen, sixty_four) = (g.floats(&[1], &[16.0]), g.floats(&[1], &[64.0]));
-    let (zero, last) = (g.floats(&[], &[0.0]), g.floats(&[], &[63.0]));
-    let cell = g.op("Div", &[at, &sixteen], vec![]);
+    let (side, columns) = (g.floats(&[1], &[pixels as f32]), g.floats(&[1], &[n as f32]));
+    let (zero, last) = (g.floats(&[], &[0.0]), g.floats(&[], &[n as f32 - 1.0]));
+    let cell = g.op("Div", &[at, &side], vec![]);
     let cell = g.op("Floor", &[&cell], vec![]);
     let cell = g.op("Clip", &[&cell, &zero, &last], vec![]);
     let (first, second) = (g.ints(&[], &[0]), g.ints(&[], &[1]));
     let of =
         |g: &mut OnnxGraph, value: &str, which: &str| g.op("Gather", &[value, which], vec![("axis", Int(2))]);
     let (x, y) = (of(g, &cell, &first), of(g, &cell, &second));
-    let row = g.op("Mul", &[&y, &sixty_four], vec![]);
+    let row = g.op("Mul", &[&y, &columns], vec![]);
     let index = g.op("Add", &[&row, &x], vec![]);
     let index = g.op("Cast", &[&index], vec![("to", Int(INT64 as i64))]);
     // [3, Q, N, 1] against [3, 1, 1, 4096]
@@ -282,12 +296,12 @@ fn logits(g: &mut OnnxGraph, d: &ToyDecoder, at: &str, label: &str) -> String {
     let wrong = nearest(g, &outside);
     // Logits by tolerance, less what is like a click outside.
     let one = g.ints(&[1], &[1]);
-    let tolerances = match d.masks {
+    let tolerances = match from.masks {
         4 => [&[1.0], &TOLERANCES[..]].concat(),
         1 => vec![1.0],
         _ => TOLERANCES.to_vec(),
     };
-    let tolerances = g.floats(&[d.masks, 1], &tolerances);
+    let tolerances = g.floats(&[from.masks, 1], &tolerances);
     let gain = g.floats(&[1], &[20.0]);
     let near = g.op("Unsqueeze", &[&near, &one], vec![]);
     let within = g.op("Sub", &[&tolerances, &near], vec![]);
@@ -306,7 +320,7 @@ fn logits(g: &mut OnnxGraph, d: &ToyDecoder, at: &str, label: &str) -> String {
     };
     let (low, high) = (corner(g, &low), corner(g, &high));
     let (low, high) = (g.op("Unsqueeze", &[&low, &two], vec![]), g.op("Unsqueeze", &[&high, &two], vec![]));
-    let side = g.floats(&[1], &[1024.0]);
+    let side = g.floats(&[1], &[(n * pixels) as f32]);
     let pixels = g.op("Mul", &[&positions, &side], vec![]); // [2, 4096]
     let (a, b) = (g.op("Sub", &[&pixels, &low], vec![]), g.op("Sub", &[&high, &pixels], vec![]));
     let depth = g.op("Min", &[&a, &b], vec![]);
@@ -319,18 +333,18 @@ fn logits(g: &mut OnnxGraph, d: &ToyDecoder, at: &str, label: &str) -> String {
     all = g.op("Min", &[&all, &depth], vec![]);
     let (least, most) = (g.floats(&[], &[-10.0]), g.floats(&[], &[10.0]));
     all = g.op("Clip", &[&all, &least, &most], vec![]);
-    if !d.efficient {
+    if let Some([mask, has]) = from.previous {
         // A quarter of what was answered before.
         let pool = vec![("kernel_shape", Ints(vec![4, 4])), ("strides", Ints(vec![4, 4]))];
-        let before = g.op("AveragePool", &["mask_input"], pool);
-        let shape = g.ints(&[3], &[1, 1, 4096]);
+        let before = g.op("AveragePool", &[mask], pool);
+        let shape = g.ints(&[3], &[-1, 1, n * n]);
         let before = g.op("Reshape", &[&before, &shape], vec![]);
         let quarter = g.floats(&[1], &[0.25]);
-        let weight = g.op("Mul", &["has_mask_input", &quarter], vec![]);
+        let weight = g.op("Mul", &[has, &quarter], vec![]);
         let before = g.op("Mul", &[&before, &weight], vec![]);
         all = g.op("Add", &[&all, &before], vec![]);
     }
-    let shape = g.ints(&[4], &[-1, d.masks, 64, 64]);
+    let shape = g.ints(&[4], &[-1, from.masks, n, n]);
     g.op("Reshape", &[&all, &shape], vec![])
 }
 

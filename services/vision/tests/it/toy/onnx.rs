@@ -3,8 +3,10 @@
 /// Kinds of numbers, as ONNX counts them.
 pub const FLOAT: u64 = 1;
 pub const UINT8: u64 = 2;
+pub const INT32: u64 = 6;
 pub const INT64: u64 = 7;
 pub const BOOL: u64 = 9;
+pub const FLOAT16: u64 = 10;
 
 /// A size that the file leaves open.
 pub const OPEN: i64 = -1;
