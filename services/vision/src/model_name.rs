@@ -86,7 +86,7 @@ const PRECISIONS: [(&str, NamedPrecision); 15] = [
 fn without_precision(name: &str) -> (&str, NamedPrecision) {
     PRECISIONS
         .iter()
-        .find_map(|(word, precision)| Some((name.strip_suffix(word)?.strip_suffix(JOINTS)?, *precision)))
+        .find_map(|(word, precision)| Some((name.strip_suffix(*word)?.strip_suffix(JOINTS)?, *precision)))
         .unwrap_or((name, NamedPrecision::Full))
 }
 

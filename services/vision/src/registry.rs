@@ -109,7 +109,7 @@ pub(crate) const SINGLE: [(&str, Family, &str); 3] =
 /// The family of a stem, going by its name.
 pub(crate) fn family_of(stem: &str) -> Option<Family> {
     let exact = PAIRS.iter().find(|(known, _)| *known == stem);
-    let starts = || STARTS.iter().find(|(start, _)| stem.starts_with(start));
+    let starts = || STARTS.iter().find(|(start, _)| stem.starts_with(*start));
     exact.or_else(starts).map(|(_, family)| *family)
 }
 

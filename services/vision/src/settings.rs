@@ -110,7 +110,7 @@ segwild_scene::settings! {
         /// Probability from which a pixel counts as sky.
         sky_confidence: f32 = 0.5 => 0.0..=1.0,
         /// Memory in MiB in which photos' analyses and SAM's embeddings are kept for the next prompt. Half of it holds analyses,
-        /// of which one takes about 2 at 320 px and 3 at 640; an embedding takes 4.
+        /// of which one takes about 2 at 320 px and 3 at 640; an embedding takes 4, one of SAM 2 17.
         vision_memory: u32 = 256,
     }
 }
