@@ -1,6 +1,6 @@
 //! The actor of the segmenter. It keeps the scene and its neighbour graph, so that the next click is quick.
 
-use crate::scene_tree::{GroupCandidate, SceneTree};
+use crate::scene_tree::{CorrectedLeaves, GroupCandidate, SceneTree};
 use crate::tree_answer::{self, TreeAnswer};
 use crate::{
     Alternative, AnswerStep, AnswerSteps, MaskReader, NeighbourGraph, PosedView, PromptedView, Refiner,
@@ -157,7 +157,8 @@ impl SegmentActor {
                 let outlined = tree_answer::GroupAnswer::of(
                     &blank,
                     tree,
-                    meant,
+                    &CorrectedLeaves::uncorrected(tree.leaves_of(meant)),
+                    meant.score,
                     &task.prompts,
                     &photos,
                     &*self.segmenter,

@@ -1,8 +1,11 @@
 //! The first answer to clicks by the scene tree (method, section 13).
 
-use crate::scene_tree::{GroupCandidate, NONE, SCENE_AREA, SceneTree, TreeQuery};
+use crate::scene_tree::{
+    CorrectedLeaves, GroupCandidate, LeafClick, NONE, SCENE_AREA, SceneTree, ShownLeaves, TreeQuery,
+};
 use crate::select::hits;
 use crate::{AnswerStep, Evidence, FirstAnswer, PosedView, PromptedView, Request, SegmentError, seen_once};
+use glam::Vec2;
 use segwild_raster::Channels;
 use segwild_scene::{Image, Mask, Prompts, ScoredMask};
 use segwild_vision::{PromptSegmenter, VisionError};
@@ -10,6 +13,12 @@ use segwild_vision::{PromptSegmenter, VisionError};
 /// Votes and coverage evidence of the scene tree on each splat (method, section 13): those of so many photos that see it whole.
 /// One photo's, for the tree is one opinion. Half and half more changed no measured click.
 const TREE_VOTE: f32 = 1.0;
+
+/// The same on the splats of a part that a click added or took out: so many photos do not outvote a person.
+const CORRECTION_VOTE: f32 = 16.0;
+
+/// IoU of a group with the own mask of a photo with several positive clicks from which both mean the same.
+const MIN_AGREEMENT: f64 = 0.6;
 
 /// Share of some pixel that a group must make up to show in a photo. By choice. Half and half more changed no measured click.
 const MIN_GROUP_SHARE: f32 = 0.5;
@@ -48,9 +57,10 @@ fn only_clicks(prompts: &Prompts) -> bool {
     prompts.boxes.is_empty() && !prompts.points.is_empty()
 }
 
-/// The tree's answer to clicks, with their photos. The photo's own mask comes first where a photo has several positive clicks,
-/// since it was drawn through all of them (on `liberty`, two clicks in one photo: IoU .94 to .96, by the tree .88), and where the
-/// tree answers with most of the scene. `request` needs no prompts.
+/// The tree's answer to clicks, with their photos: the first positive click chooses a group, and the others correct it. The
+/// photo's own mask comes first where a photo has several positive clicks and its mask agrees with the tree, since it was drawn
+/// through all of them (on `liberty`, two clicks in one photo: IoU .94 to .96, by the tree .88), and where the tree answers one click
+/// with most of the scene. `request` needs no prompts.
 pub(crate) fn answer(
     request: &Request,
     tree: &SceneTree,
@@ -65,33 +75,27 @@ pub(crate) fn answer(
     {
         return Ok(TreeAnswer::default());
     }
-    let nothing = Mask::empty(1, 1);
-    let points: Vec<PromptedView> = clicks
-        .iter()
-        .map(|(view, prompts)| PromptedView {
-            view: *view,
-            mask: &nothing,
-            open: None,
-            refused: false,
-            points: &prompts.points,
-            boxes: &[],
-        })
-        .collect();
-    let (positive, negative) = hits(&Request { prompts: &points, ..*request })?;
-    let Some(inside) = positive.iter().map(|hit| tree.leaf_of(hit)).collect::<Option<Vec<u32>>>() else {
-        return Ok(TreeAnswer::default());
-    };
-    let outside: Vec<u32> = negative.iter().filter_map(|hit| tree.leaf_of(hit)).collect();
-    let query = TreeQuery { inside: &inside, outside: &outside };
+    let Some(hit) = leaf_clicks(request, tree, clicks)? else { return Ok(TreeAnswer::default()) };
+    let Some(at) = hit.iter().position(|click| click.inside) else { return Ok(TreeAnswer::default()) };
+    let mut corrections = hit;
+    let query = TreeQuery { inside: &[corrections.remove(at).leaf], outside: &[] };
     let granularity = clicks.iter().find_map(|(_, prompts)| prompts.granularity);
     let found = match granularity {
         Some(granularity) => tree.candidates_of_size(&query, granularity),
         None => tree.candidates(&query),
     };
     let Some(first) = found.first() else { return Ok(TreeAnswer::default()) };
-    let mut candidates: Vec<Option<&GroupCandidate>> = found.iter().map(Some).collect();
+    let corrected = |candidate: &GroupCandidate| tree.corrected(tree.leaves_of(candidate), &corrections);
     let several = |(_, prompts): &(usize, Prompts)| prompts.points.iter().filter(|p| p.inside).count() > 1;
-    let by_photo = granularity.is_none() && (clicks.iter().any(several) || first.area > SCENE_AREA);
+    let by_photo = granularity.is_none()
+        && if clicks.iter().any(several) {
+            let labels = tree.splats_of(&corrected(first).selected);
+            let together = clicks.iter().zip(photos).filter(|(click, _)| several(click));
+            photos_agree(request, &labels, together, segmenter)?
+        } else {
+            first.area > SCENE_AREA && corrections.is_empty()
+        };
+    let mut candidates: Vec<Option<&GroupCandidate>> = found.iter().map(Some).collect();
     candidates.insert(usize::from(!by_photo), None);
     let named = |candidate: &Option<&GroupCandidate>| match candidate {
         Some(candidate) => Alternative::Group(candidate.area),
@@ -102,21 +106,75 @@ pub(crate) fn answer(
     let Some(chosen) = candidates[last.min(settings.alternative as usize)] else {
         return Ok(TreeAnswer { group: None, alternatives });
     };
-    let group = GroupAnswer::of(request, tree, chosen, clicks, photos, segmenter)?;
+    let group = GroupAnswer::of(request, tree, &corrected(chosen), chosen.score, clicks, photos, segmenter)?;
     Ok(TreeAnswer { group, alternatives })
 }
 
+/// The leaves that clicks hit, in order; `None` where a positive one hits none. A negative one that hits none says nothing.
+fn leaf_clicks(
+    request: &Request,
+    tree: &SceneTree,
+    clicks: &[(usize, Prompts)],
+) -> Result<Option<Vec<LeafClick>>, SegmentError> {
+    let nothing = Mask::empty(1, 1);
+    let mut found = Vec::new();
+    for (view, prompts) in clicks {
+        for point in &prompts.points {
+            let points = std::slice::from_ref(point);
+            let prompt =
+                PromptedView { view: *view, mask: &nothing, open: None, refused: false, points, boxes: &[] };
+            let (positive, negative) = hits(&Request { prompts: &[prompt], ..*request })?;
+            let leaf = positive.first().or(negative.first()).and_then(|hit| tree.leaf_of(hit));
+            match leaf {
+                Some(leaf) => {
+                    let (posed, at) = (&request.views[*view], Vec2::new(point.x, point.y));
+                    let shown = ShownLeaves::of(tree, request.splats, &request.options, posed, at)
+                        .map_err(SegmentError::raster(&posed.name))?;
+                    found.push(LeafClick { leaf, inside: point.inside, shown });
+                }
+                None if point.inside => return Ok(None),
+                None => {}
+            }
+        }
+    }
+    Ok(Some(found))
+}
+
+/// Whether the own masks of photos agree with labels: then both mean the same, and the photo knows its outline best.
+fn photos_agree<'a>(
+    request: &Request,
+    labels: &[bool],
+    clicks: impl Iterator<Item = (&'a (usize, Prompts), &'a Image)>,
+    segmenter: &dyn PromptSegmenter,
+) -> Result<bool, SegmentError> {
+    for ((view, prompts), photo) in clicks {
+        let posed = &request.views[*view];
+        let failed =
+            |e: VisionError| SegmentError::Provider { photo: posed.name.clone(), reason: e.to_string() };
+        let own = segmenter.prompted(photo, prompts).map_err(failed)?.answer.mask;
+        let share = share_of(request, posed, labels)?;
+        let shown = Mask::from_fn(share.width as u32, share.height as u32, |x, y| {
+            share.at(0, x as usize, y as usize) > MIN_GROUP_SHARE
+        });
+        if own.resized(shown.width(), shown.height()).iou(&shown) < MIN_AGREEMENT {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
 impl GroupAnswer {
-    /// A group as an answer; `None` where it shows in no photo whose prompts mean it: it cannot be refined there.
+    /// A group, as clicks corrected it, as an answer with its expected IoU; `None` where it shows in no photo whose prompts mean it: it cannot be refined there.
     pub fn of(
         request: &Request,
         tree: &SceneTree,
-        chosen: &GroupCandidate,
+        chosen: &CorrectedLeaves,
+        expected_iou: f32,
         prompts: &[(usize, Prompts)],
         photos: &[Image],
         segmenter: &dyn PromptSegmenter,
     ) -> Result<Option<GroupAnswer>, SegmentError> {
-        let labels = tree.labels(chosen);
+        let labels = tree.splats_of(&chosen.selected);
         request.wanted()?;
         if let Some(steps) = request.steps {
             let mut shown = labels.clone();
@@ -128,8 +186,9 @@ impl GroupAnswer {
         let mut prior = Evidence::none(labels.len());
         for (i, &label) in labels.iter().enumerate().filter(|(i, _)| tree.leaf[*i] != NONE) {
             let side = if label { &mut prior.inside } else { &mut prior.outside };
-            side[i] = TREE_VOTE;
-            prior.known[i] = TREE_VOTE;
+            let vote = if chosen.decided[tree.leaf[i] as usize] { CORRECTION_VOTE } else { TREE_VOTE };
+            side[i] = vote;
+            prior.known[i] = vote;
         }
         let mut masks = Vec::with_capacity(prompts.len());
         for ((view, _), photo) in prompts.iter().zip(photos) {
@@ -146,7 +205,7 @@ impl GroupAnswer {
         }
         let means = |p: &Prompts| p.points.is_empty() || p.points.iter().any(|p| p.inside);
         let shows = prompts.iter().zip(&masks).any(|((_, p), mask)| means(p) && mask.is_some());
-        Ok(shows.then_some(GroupAnswer { prior, expected_iou: chosen.score.clamp(0.0, 1.0), masks }))
+        Ok(shows.then_some(GroupAnswer { prior, expected_iou: expected_iou.clamp(0.0, 1.0), masks }))
     }
 }
 

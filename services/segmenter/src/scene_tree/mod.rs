@@ -7,6 +7,7 @@
 //! ([`SceneTree::candidates`]).
 
 mod boundaries;
+mod corrections;
 mod graph;
 mod growth;
 mod parts;
@@ -14,6 +15,7 @@ mod query;
 mod spectral;
 mod tree;
 
+pub use corrections::{CorrectedLeaves, LeafClick, ShownLeaves};
 pub use graph::{CUES, FrontBorder, SplatEdge, SplatGraph, SplatsInView, TreeBuilder};
 pub use parts::{MOST_PARTS, PartMap, SceneParts};
 pub(crate) use query::SCENE_AREA;

@@ -148,16 +148,24 @@ impl SceneTree {
         found
     }
 
-    /// Whether each splat of the scene belongs to a candidate.
-    pub fn labels(&self, candidate: &GroupCandidate) -> Vec<bool> {
-        let mut labels = vec![false; self.leaf.len()];
+    /// Whether each leaf belongs to a candidate.
+    pub fn leaves_of(&self, candidate: &GroupCandidate) -> Vec<bool> {
+        let mut leaves = vec![false; self.trees.first().map_or(0, |tree| tree.merges.leaves)];
         for &(tree, node) in &candidate.nodes {
             let inside = self.trees[tree].merges.parts_of(node);
-            for (label, &leaf) in labels.iter_mut().zip(&self.leaf) {
-                *label |= leaf != NONE && inside[leaf as usize];
-            }
+            leaves.iter_mut().zip(inside).for_each(|(leaf, inside)| *leaf |= inside);
         }
-        labels
+        leaves
+    }
+
+    /// Whether each splat of the scene belongs to a selection of leaves.
+    pub fn splats_of(&self, leaves: &[bool]) -> Vec<bool> {
+        self.leaf.iter().map(|&leaf| leaf != NONE && leaves[leaf as usize]).collect()
+    }
+
+    /// Whether each splat of the scene belongs to a candidate.
+    pub fn labels(&self, candidate: &GroupCandidate) -> Vec<bool> {
+        self.splats_of(&self.leaves_of(candidate))
     }
 }
 

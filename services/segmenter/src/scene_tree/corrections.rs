@@ -1,0 +1,173 @@
+//! Corrections of a group by further clicks (method, section 13): each adds or takes out the part that it hits, and changes
+//! nothing else.
+
+use super::query::{MIN_AREA, expected};
+use super::tree::{Growth, TREES};
+use super::{NONE, SceneTree};
+use crate::PosedView;
+use glam::Vec2;
+use segwild_raster::{CpuEngine, ProjectOptions, RasterError};
+use segwild_scene::{Mask, Splats};
+
+/// Share of a part's light that must lie on the side that a click corrects: inside of what has too much, outside of what
+/// lacks it (method, section 13). By choice.
+const MIN_WRONG_SHARE: f32 = 0.7;
+
+/// Largest part that a click adds, and that it takes out, as a share of the selection's light (method, section 13). From
+/// docs/experiments/2026-11-30-corrections.md.
+const MAX_ADDED: f32 = 0.5;
+const MAX_TAKEN_OUT: f32 = 0.25;
+
+/// Weight of how deep a click lies within a part, beside the part's expected IoU (method, section 13): a person clicks into the
+/// middle of what is wrong. From docs/experiments/2026-11-30-corrections.md.
+const DEPTH_WEIGHT: f32 = 1.0;
+
+/// Long side in pixels at which that depth is measured.
+const DEPTH_SIZE: u32 = 128;
+
+/// Accumulated alpha `A` under which a pixel shows nothing. By choice.
+const MIN_SHOWN_ALPHA: f32 = 0.5;
+
+/// A click on the scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LeafClick {
+    /// The leaf that it hits.
+    pub leaf: u32,
+    /// Whether it is meant.
+    pub inside: bool,
+    /// What its photo shows.
+    pub shown: ShownLeaves,
+}
+
+/// The leaves that a photo shows, and the pixel of a click.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ShownLeaves {
+    width: u32,
+    height: u32,
+    /// Per pixel, row by row, the leaf of the splat that makes up most of it; [`NONE`] where there is none.
+    leaves: Vec<u32>,
+    clicked: (u32, u32),
+}
+
+impl ShownLeaves {
+    /// What a view shows, for a click on a pixel of it.
+    ///
+    /// # Errors
+    /// When the scene cannot be rendered.
+    pub fn of(
+        tree: &SceneTree,
+        splats: &Splats,
+        options: &ProjectOptions,
+        view: &PosedView,
+        click: Vec2,
+    ) -> Result<ShownLeaves, RasterError> {
+        let camera = view.camera.scaled_to(DEPTH_SIZE);
+        let front = CpuEngine::default().front(splats, &camera, &view.pose, options)?;
+        let leaf = |(&splat, &alpha): (&u32, &f32)| match tree.leaf.get(splat as usize) {
+            Some(&leaf) if alpha >= MIN_SHOWN_ALPHA => leaf,
+            _ => NONE,
+        };
+        let leaves = front.splats.iter().zip(&front.alpha.data).map(leaf).collect();
+        let scale = camera.width as f32 / view.camera.width as f32;
+        let at = |v: f32, side: u32| ((v * scale).max(0.0) as u32).min(side - 1);
+        let clicked = (at(click.x, camera.width), at(click.y, camera.height));
+        Ok(ShownLeaves { width: camera.width, height: camera.height, leaves, clicked })
+    }
+
+    /// How deep the click lies within some leaves: 0 outside of them, 1 where they are deepest.
+    fn depth(&self, part: &[bool]) -> f32 {
+        let within = |x: u32, y: u32| {
+            let leaf = self.leaves[(y * self.width + x) as usize];
+            leaf != NONE && part[leaf as usize]
+        };
+        let depths = Mask::from_fn(self.width, self.height, within).not().distances();
+        let most = depths.iter().copied().fold(0.0, f32::max);
+        let (x, y) = self.clicked;
+        if most > 0.0 { depths[(y * self.width + x) as usize] / most } else { 0.0 }
+    }
+}
+
+/// A selection of leaves, and which of them clicks corrected.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CorrectedLeaves {
+    /// Per leaf, whether it is selected.
+    pub selected: Vec<bool>,
+    /// Per leaf, whether a click decided it.
+    pub decided: Vec<bool>,
+}
+
+impl CorrectedLeaves {
+    /// A selection that no click corrects.
+    pub fn uncorrected(selected: Vec<bool>) -> CorrectedLeaves {
+        CorrectedLeaves { decided: vec![false; selected.len()], selected }
+    }
+}
+
+impl SceneTree {
+    /// Corrects a selection of leaves by clicks, one after the other. No part contradicts any of them.
+    pub fn corrected(&self, selected: Vec<bool>, clicks: &[LeafClick]) -> CorrectedLeaves {
+        let mut now = CorrectedLeaves::uncorrected(selected);
+        for click in clicks {
+            let part = self.part_at(&now.selected, click, clicks);
+            for (leaf, _) in part.iter().enumerate().filter(|(_, inside)| **inside) {
+                now.selected[leaf] = click.inside;
+                now.decided[leaf] = true;
+            }
+        }
+        now
+    }
+
+    /// The part that a click means: of the groups that hold it, no click of the other kind and mostly what is wrong, the one
+    /// that is likely a thing and has the click in its middle. Where nothing is wrong there, or no group is such a part, the
+    /// smallest group.
+    fn part_at(&self, selected: &[bool], click: &LeafClick, clicks: &[LeafClick]) -> Vec<bool> {
+        let leaves = selected.len();
+        let is_wrong = |leaf: usize| selected[leaf] != click.inside;
+        let (mut best, mut smallest) = (None::<(f32, Vec<bool>)>, None::<(f32, Vec<bool>)>);
+        for (number, tree) in self.trees.iter().enumerate() {
+            let merges = &tree.merges;
+            let area = |node: u32| tree.groups[node as usize].area;
+            let sum = |of: &dyn Fn(usize) -> bool| -> f32 {
+                (0..leaves).filter(|&leaf| of(leaf)).map(|leaf| area(leaf as u32)).sum()
+            };
+            let most = if click.inside { MAX_ADDED } else { MAX_TAKEN_OUT } * sum(&|leaf| selected[leaf]);
+            let wrong: Vec<f32> =
+                (0..leaves).map(|leaf| if is_wrong(leaf) { area(leaf as u32) } else { 0.0 }).collect();
+            let wrong = merges.sums(&wrong);
+            let part = |node: u32| {
+                let mut part = merges.parts_of(node);
+                part.truncate(leaves);
+                part
+            };
+            let others = clicks.iter().filter(|other| other.inside != click.inside);
+            let against = others.map(|other| merges.meet(click.leaf, other.leaf)).min();
+            let large = || merges.ancestors(click.leaf).filter(|&node| area(node) >= MIN_AREA);
+            let gap = |node: u32| {
+                merges.height[merges.parent[node as usize] as usize] - merges.height[node as usize]
+            };
+            let widest = large().map(gap).fold(1e-9, f32::max);
+            for node in large().take_while(|node| against.is_none_or(|against| *node < against)) {
+                if smallest.as_ref().is_none_or(|(least, _)| area(node) < *least) {
+                    smallest = Some((area(node), part(node)));
+                }
+                let is_part =
+                    wrong[node as usize] as f32 >= MIN_WRONG_SHARE * area(node) && area(node) <= most;
+                if !is_wrong(click.leaf as usize) || !is_part {
+                    continue;
+                }
+                let candidate = part(node);
+                let within: Vec<bool> = (0..leaves).map(|leaf| candidate[leaf] && is_wrong(leaf)).collect();
+                let average = TREES[number].1 == Growth::Average;
+                let score = expected(tree, node, gap(node) / widest, average)
+                    + DEPTH_WEIGHT * click.shown.depth(&within);
+                if best.as_ref().is_none_or(|(most, _)| score > *most) {
+                    best = Some((score, candidate));
+                }
+            }
+        }
+        match best.or(smallest) {
+            Some((_, part)) => part,
+            None => (0..leaves).map(|leaf| leaf == click.leaf as usize).collect(),
+        }
+    }
+}
