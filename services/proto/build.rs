@@ -3,7 +3,12 @@
 use std::path::PathBuf;
 
 /// The files, in the folder of all messages.
-const FILES: [&str; 2] = ["segwild/v1/farm.proto", "segwild/v1/vision.proto"];
+const FILES: [&str; 4] = [
+    "segwild/v1/farm.proto",
+    "segwild/v1/session.proto",
+    "segwild/v1/status.proto",
+    "segwild/v1/vision.proto",
+];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let folder = PathBuf::from("../../proto");

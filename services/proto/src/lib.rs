@@ -10,7 +10,7 @@
 //! assert_eq!(mask.runs.iter().sum::<u32>(), mask.width * mask.height);
 //! ```
 //!
-//! Start reading at `proto/segwild/v1/vision.proto` and `farm.proto`.
+//! Start reading at `proto/segwild/v1/vision.proto`, `session.proto` and `farm.proto`.
 
 mod token;
 
