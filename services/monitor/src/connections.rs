@@ -11,9 +11,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use axum::Router;
-use hyper::server::conn::http1;
+use axum::http::{Request, StatusCode};
+use hyper::body::Incoming;
+use hyper::server::conn::{http1, http2};
 use hyper::service::{Service, service_fn};
-use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
@@ -28,12 +30,18 @@ pub struct ConnectionLimits {
     pub whole_time: Option<Duration>,
     /// Whether a connection may send further requests.
     pub keep_alive: bool,
+    /// Whether a connection may start with HTTP/2, as clients of gRPC do. It may then send further requests.
+    pub http2: bool,
 }
 
 impl ConnectionLimits {
     /// For clients that ask once, such as Prometheus.
-    pub const ONE_REQUEST: ConnectionLimits =
-        ConnectionLimits { most: MOST, whole_time: Some(Duration::from_secs(20)), keep_alive: false };
+    pub const ONE_REQUEST: ConnectionLimits = ConnectionLimits {
+        most: MOST,
+        whole_time: Some(Duration::from_secs(20)),
+        keep_alive: false,
+        http2: false,
+    };
 }
 
 /// Connections at a time of a server for operators.
@@ -42,6 +50,14 @@ pub const MOST: usize = 32;
 pub const HEAD_TIME: Duration = Duration::from_secs(5);
 /// A request's head may have so many bytes.
 pub const HEAD_BYTES: usize = 16 << 10;
+/// Requests of one connection by HTTP/2 that are answered at a time.
+const MOST_STREAMS: u32 = 64;
+/// How every connection by HTTP/2 starts, and none by HTTP/1.
+const HTTP2_START: &[u8] = b"PRI * HTTP/2.0";
+/// Time between two checks whether more of a connection's start is there.
+const START_CHECK: Duration = Duration::from_millis(10);
+/// Time between two signs of life on a connection by HTTP/2: one without an answer is closed.
+const SIGN_OF_LIFE: Duration = Duration::from_secs(20);
 /// Rest after the system refused a connection: it has no descriptor or no memory left.
 const REST: Duration = Duration::from_millis(100);
 
@@ -71,7 +87,7 @@ pub async fn answer(listener: TcpListener, routes: Router, limits: ConnectionLim
         // The slot of a connection is free once its socket is closed.
         let Ok(permit) = free_connections.clone().acquire_owned().await else { return };
         let received = Arc::new(AtomicBool::new(false));
-        let work = requests(stream, routes.clone(), received.clone(), limits.keep_alive);
+        let work = requests(stream, routes.clone(), received.clone(), limits);
         let task = tokio::spawn(async move {
             // A client that is too slow, or that has gone, has nobody to answer.
             let _ = match limits.whole_time {
@@ -90,8 +106,38 @@ fn ended_early(error: &io::Error) -> bool {
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset | Interrupted)
 }
 
-/// Answers a connection's requests. Without keep-alive nobody holds a connection between two.
+/// Answers a connection's requests, in the protocol that it starts with.
 async fn requests(
+    stream: TcpStream,
+    routes: Router,
+    received: Arc<AtomicBool>,
+    limits: ConnectionLimits,
+) -> hyper::Result<()> {
+    if !limits.http2 {
+        return by_http1(stream, routes, received, limits.keep_alive).await;
+    }
+    match tokio::time::timeout(HEAD_TIME, starts_with_http2(&stream)).await {
+        Ok(Ok(true)) => by_http2(stream, routes, received).await,
+        Ok(Ok(false)) => by_http1(stream, routes, received, limits.keep_alive).await,
+        // Nothing came in time, or the client has gone.
+        Ok(Err(_)) | Err(_) => Ok(()),
+    }
+}
+
+/// Whether a connection starts with HTTP/2. What it has sent stays to be read.
+async fn starts_with_http2(stream: &TcpStream) -> io::Result<bool> {
+    let mut start = [0; HTTP2_START.len()];
+    loop {
+        let n = stream.peek(&mut start).await?;
+        if n == 0 || n == start.len() || !HTTP2_START.starts_with(&start[..n]) {
+            return Ok(start[..n] == *HTTP2_START);
+        }
+        tokio::time::sleep(START_CHECK).await;
+    }
+}
+
+/// Answers requests by HTTP/1. Without keep-alive nobody holds a connection between two.
+async fn by_http1(
     stream: TcpStream,
     routes: Router,
     received: Arc<AtomicBool>,
@@ -109,6 +155,31 @@ async fn requests(
         .keep_alive(keep_alive)
         // A client that sent its request and closed its side is still answered.
         .half_close(true)
+        .serve_connection(TokioIo::new(stream), service)
+        .await
+}
+
+/// Answers requests by HTTP/2. Nothing ends an idle connection but a client that is gone, so one whose requests were all refused
+/// counts as silent: it loses its slot in a crowd.
+async fn by_http2(stream: TcpStream, routes: Router, received: Arc<AtomicBool>) -> hyper::Result<()> {
+    let routes = TowerToHyperService::new(routes);
+    let service = service_fn(move |request: Request<Incoming>| {
+        let (answer, received) = (routes.call(request), received.clone());
+        async move {
+            let answer = answer.await;
+            let refused = |code| [StatusCode::UNAUTHORIZED, StatusCode::FORBIDDEN].contains(&code);
+            if answer.as_ref().is_ok_and(|response| !refused(response.status())) {
+                received.store(true, Ordering::Relaxed);
+            }
+            answer
+        }
+    });
+    http2::Builder::new(TokioExecutor::new())
+        .timer(TokioTimer::new())
+        .keep_alive_interval(SIGN_OF_LIFE)
+        .keep_alive_timeout(SIGN_OF_LIFE)
+        .max_concurrent_streams(MOST_STREAMS)
+        .max_header_list_size(HEAD_BYTES as u32)
         .serve_connection(TokioIo::new(stream), service)
         .await
 }

@@ -20,7 +20,8 @@ const MOST_BODY: usize = 1 << 20;
 const THREADS: usize = 8;
 
 /// Connections of all viewers together.
-const CONNECTIONS: ConnectionLimits = ConnectionLimits { most: 256, whole_time: None, keep_alive: true };
+const CONNECTIONS: ConnectionLimits =
+    ConnectionLimits { most: 256, whole_time: None, keep_alive: true, http2: true };
 
 /// Bytes that open sessions may take by default.
 const MEMORY_BUDGET: usize = 2 << 30;
