@@ -1,9 +1,10 @@
 //! Who may ask: requests with the token, to this host, from this page.
 //!
 //! The address that `segwild serve` prints carries the token. The first request with it gets a cookie, so that the address bar and
-//! the browser's history lose it. Programs send it as `Authorization: Bearer`.
+//! the browser's history lose it. Programs send it as `Authorization: Bearer`, those that speak gRPC as well.
 
 use axum::extract::{Request, State};
+use axum::http::uri::Authority;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -66,8 +67,31 @@ fn token_of(uri: &Uri) -> Option<&str> {
     uri.query()?.split('&').find_map(|pair| pair.strip_prefix("token="))
 }
 
-fn refused(code: StatusCode, why: &'static str) -> Response {
-    (code, axum::Json(serde_json::json!({ "error": why }))).into_response()
+/// The host that a request names: in a header, and by HTTP/2 in its address.
+fn host_of(request: &Request) -> &str {
+    let header = request.headers().get(header::HOST).and_then(|host| host.to_str().ok());
+    let address = || request.uri().authority().map(Authority::as_str);
+    header.or_else(address).unwrap_or_default()
+}
+
+/// Whether a request is a call of gRPC.
+fn is_call(headers: &HeaderMap) -> bool {
+    let kind = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok());
+    kind.is_some_and(|kind| kind.starts_with("application/grpc"))
+}
+
+/// A refusal, in the form that the client reads.
+fn refused(call: bool, code: StatusCode, why: &'static str) -> Response {
+    if !call {
+        return (code, axum::Json(serde_json::json!({ "error": why }))).into_response();
+    }
+    let status = match code {
+        StatusCode::UNAUTHORIZED => tonic::Status::unauthenticated(why),
+        _ => tonic::Status::permission_denied(why),
+    };
+    let mut response: Response = status.into_http();
+    *response.status_mut() = code;
+    response
 }
 
 /// Lets a request pass, or refuses it; adds the headers that keep the page to itself.
@@ -88,12 +112,12 @@ pub(crate) async fn guard(State(guard): State<Arc<Guard>>, request: Request, nex
 }
 
 async fn checked(guard: &Guard, request: Request, next: Next) -> Response {
-    let headers = request.headers();
-    let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or_default().to_owned();
-    if !guard.is_own_host(&host) {
+    let (headers, host) = (request.headers(), host_of(&request));
+    let refused = |code, why| refused(is_call(headers), code, why);
+    if !guard.is_own_host(host) {
         return refused(StatusCode::FORBIDDEN, "this server answers to its own address only");
     }
-    if !guard.is_own_origin(headers, &host) {
+    if !guard.is_own_origin(headers, host) {
         return refused(StatusCode::FORBIDDEN, "the request comes from another page");
     }
     if request.method() == Method::GET

@@ -3,7 +3,8 @@
 //! - [`Studio`]: a run's session with its objects. Prompts are queries, answers grow, several viewers share one state.
 //! - [`document`]: the objects and the operations that made them; `studio/session.jsonl` of a run, undo and redo.
 //! - [`messages`]: what the page and the server say to each other.
-//! - [`serve`]: the page and its messages by HTTP, on the loopback address and with a token.
+//! - [`serve`]: the page and its messages by HTTP, on the loopback address and with a token. The same port answers the calls of
+//!   `proto/segwild/v1/session.proto`.
 //!
 //! It is no trainer and no segmenter: what a click means is decided by [`segwild_pipeline::Session`].
 //!
@@ -34,9 +35,11 @@
 //!
 //! Start reading at [`Studio::act`] in `studio/act.rs`, then `document/mod.rs`; `routes.rs` lists the requests of the page.
 
+mod calls;
 pub mod document;
 mod early;
 mod fronts;
+mod grpc;
 mod guard;
 pub mod messages;
 mod page;

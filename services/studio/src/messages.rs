@@ -1,4 +1,6 @@
 //! What the page and the server say to each other, as JSON. Positions on photos are pixels of the undistorted photo at full size.
+//!
+//! `proto/segwild/v1/session.proto` has the same messages with the same names of fields: `tests/it/openapi.rs` compares the two.
 
 use crate::document::{KeptObject, ObjectId};
 use crate::regions::{Combination, Region, RegionRule};

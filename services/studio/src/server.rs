@@ -1,5 +1,6 @@
 //! The server: listens, guards, answers.
 
+use crate::grpc::session;
 use crate::guard::{Guard, guard};
 use crate::routes::routes;
 use crate::runs::ServedRuns;
@@ -13,7 +14,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Bytes of a request's body at most.
+/// Bytes of a request's body or message at most.
 const MOST_BODY: usize = 1 << 20;
 
 /// Threads that answer at a time.
@@ -90,7 +91,9 @@ pub fn serve(folder: &Path, options: ServeOptions) -> Result<StudioServer, Serve
         let runs = Arc::new(ServedRuns::new(folder, memory_budget, program, code, photos));
         runs.open_first();
         let guards = Guard { token: token.clone(), address, loopback: address.ip().is_loopback() };
+        let (calls, service) = session(runs.clone(), MOST_BODY);
         routes(runs)
+            .route_service(&calls, service)
             .layer(DefaultBodyLimit::max(MOST_BODY))
             .layer(from_fn_with_state(Arc::new(guards), guard))
     })?;

@@ -1,0 +1,186 @@
+//! What requests do and why they are refused, whether they come as JSON or as gRPC.
+
+use crate::messages::{RunEntry, StateMessage, StudioAction, TrainingMessage};
+use crate::runs::{Found, ServedRuns};
+use crate::{Studio, StudioError};
+use futures_util::StreamExt;
+use futures_util::stream::{self, BoxStream};
+use segwild_farm::{EmbeddedEngine, EngineError, JobEngine, JobState};
+use segwild_flow::Stopper;
+use segwild_monitor::{MonitorTarget, MonitorView};
+use segwild_pipeline::RunError;
+use std::sync::{Arc, Weak};
+use tokio::sync::watch;
+
+/// The runs of a server, as requests share them.
+pub(crate) type Runs = Arc<ServedRuns>;
+
+/// Long side in pixels of a photo where none is requested.
+pub(crate) const SHOWN_SIZE: u32 = 1024;
+
+/// Media type of photos and renders.
+pub(crate) const JPEG: &str = "image/jpeg";
+
+/// Media type of the thumbnails.
+pub(crate) const PNG: &str = "image/png";
+
+/// Media type of packed numbers and of files to be saved.
+pub(crate) const OCTETS: &str = "application/octet-stream";
+
+/// What kind of refusal it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum RefusalKind {
+    /// The request makes no sense.
+    Request,
+    /// There is no such run, scene or photo.
+    Missing,
+    /// It does not fit the present objects.
+    Conflict,
+    /// The view of operators cannot be read.
+    Unavailable,
+    /// The answer could not be made.
+    Broken,
+}
+
+/// A refusal in words.
+pub(crate) enum Refusal {
+    /// The request cannot be answered.
+    Because(RefusalKind, String),
+    /// The session is not open yet: no failure, the same request is answered later.
+    Waiting(RunEntry),
+}
+
+/// A refusal, or an answer.
+pub(crate) type Answered<T> = Result<T, Refusal>;
+
+impl Refusal {
+    /// There is no such run.
+    pub fn no_run() -> Refusal {
+        Refusal::Because(RefusalKind::Missing, "there is no such run".into())
+    }
+
+    /// The answer could not be made: a bug.
+    pub fn broken() -> Refusal {
+        Refusal::Because(RefusalKind::Broken, "the answer could not be made".into())
+    }
+}
+
+impl From<StudioError> for Refusal {
+    fn from(error: StudioError) -> Refusal {
+        let kind = match &error {
+            StudioError::Run(RunError::Request(_) | RunError::Segment(_)) | StudioError::Request(_) => {
+                RefusalKind::Request
+            }
+            StudioError::Document(_) => RefusalKind::Conflict,
+            StudioError::Journal(_) | StudioError::File(_) | StudioError::Scene(_) | StudioError::Run(_) => {
+                RefusalKind::Broken
+            }
+        };
+        Refusal::Because(kind, error.to_string())
+    }
+}
+
+/// Works off the server's own thread.
+async fn apart<T: Send + 'static>(work: impl FnOnce() -> Answered<T> + Send + 'static) -> Answered<T> {
+    tokio::task::spawn_blocking(work).await.map_err(|_| Refusal::broken())?
+}
+
+/// The session of a run, or why there is none.
+fn session(runs: &Runs, run: &str) -> Answered<Arc<Studio>> {
+    match runs.find(run) {
+        Found::Open(studio) => Ok(studio),
+        Found::Waiting(entry) => Err(Refusal::Waiting(entry)),
+        Found::None => Err(Refusal::no_run()),
+    }
+}
+
+/// Answers by a run's session, off the server's own thread.
+pub(crate) async fn answered<T: Send + 'static>(
+    runs: &Runs,
+    run: &str,
+    work: impl FnOnce(Arc<Studio>) -> Result<T, StudioError> + Send + 'static,
+) -> Answered<T> {
+    let studio = session(runs, run)?;
+    apart(move || Ok(work(studio)?)).await
+}
+
+/// The view of operators, as `segwild status --json` prints it.
+pub(crate) async fn status(runs: Runs) -> Answered<MonitorView> {
+    let view = move || MonitorTarget::at(runs.root()).and_then(|target| target.view());
+    apart(move || view().map_err(|e| Refusal::Because(RefusalKind::Unavailable, e.to_string()))).await
+}
+
+/// Gives a scene of a batch that was given up another chance.
+pub(crate) async fn retry(runs: Runs, scene: String) -> Answered<()> {
+    apart(move || {
+        let refused = |kind, why: String| Refusal::Because(kind, why);
+        let failed = |e: EngineError| refused(RefusalKind::Broken, e.to_string());
+        let Ok(MonitorTarget::Batch(folder)) = MonitorTarget::at(runs.root()) else {
+            return Err(refused(RefusalKind::Missing, "this is no batch".into()));
+        };
+        let engine = EmbeddedEngine::open(folder.engine_file()).map_err(failed)?;
+        let jobs = engine.jobs().map_err(failed)?;
+        let dead = jobs.iter().find(|j| j.job.id == scene && j.state == JobState::Dead);
+        let dead =
+            dead.ok_or_else(|| refused(RefusalKind::Conflict, "no scene of this name was given up".into()))?;
+        engine.revive(&dead.job.id).map_err(failed)
+    })
+    .await
+}
+
+/// The state of a run now and at every change. It ends with the session.
+pub(crate) fn states(runs: &Runs, run: &str) -> Answered<BoxStream<'static, StateMessage>> {
+    let studio = session(runs, run)?;
+    let mut changes = studio.changes();
+    changes.mark_changed();
+    // A session is not held by its viewers: it can be put away while they are there.
+    let studio = Arc::downgrade(&studio);
+    let next = |(studio, mut changes): (Weak<Studio>, watch::Receiver<u64>)| async move {
+        changes.changed().await.ok()?;
+        changes.borrow_and_update();
+        let open = studio.upgrade()?;
+        let message = tokio::task::spawn_blocking(move || open.message()).await.ok()?;
+        Some((message, (studio, changes)))
+    };
+    Ok(stream::unfold((studio, changes), next).boxed())
+}
+
+/// Does what a person wants, and answers with the state.
+pub(crate) async fn act(runs: &Runs, run: &str, action: StudioAction) -> Answered<StateMessage> {
+    answered(runs, run, |studio| {
+        studio.act(action)?;
+        Ok(studio.message())
+    })
+    .await
+}
+
+/// Continues the training without corrected transients.
+pub(crate) async fn train(runs: Runs, run: String) -> Answered<()> {
+    apart(move || Ok(runs.train_again(&run)?)).await
+}
+
+/// The photos and the curves of a run, before it has a scene.
+pub(crate) async fn training(runs: Runs, run: String) -> Answered<TrainingMessage> {
+    apart(move || runs.training(&run).ok_or_else(Refusal::no_run)).await
+}
+
+/// A photo of a run that may have no scene yet, as JPEG.
+pub(crate) async fn training_photo(runs: Runs, run: String, photo: usize, size: u32) -> Answered<Vec<u8>> {
+    apart(move || Ok(runs.early_photo(&run, photo, size)?)).await
+}
+
+/// Stops the work for a request whose client does not wait for it any more.
+struct StopsWithRequest(Stopper);
+
+impl Drop for StopsWithRequest {
+    fn drop(&mut self) {
+        self.0.stop();
+    }
+}
+
+/// What objects change of the splats, packed, and its version.
+pub(crate) async fn changes(runs: &Runs, run: &str) -> Answered<(Vec<u8>, String)> {
+    let request = StopsWithRequest(Stopper::new());
+    let stopper = request.0.clone();
+    answered(runs, run, move |studio| studio.packed_changes(&stopper)).await
+}
