@@ -33,7 +33,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Start reading at [`Studio::act`] in `studio/act.rs`, then `document/mod.rs`; `routes.rs` lists the requests of the page.
+//! Start reading at [`Studio::act`] in `studio/act.rs`, then `document/mod.rs`; `routes.rs` lists the requests of the page, of which
+//! [`openapi()`] writes the reference.
 
 mod calls;
 pub mod document;
@@ -42,6 +43,7 @@ mod fronts;
 mod grpc;
 mod guard;
 pub mod messages;
+mod openapi;
 mod page;
 mod regions;
 mod routes;
@@ -50,6 +52,7 @@ mod server;
 mod store;
 mod studio;
 
+pub use openapi::openapi;
 pub use regions::{Combination, MOST_POINTS, Region, RegionRule};
 pub use runs::has_runs;
 pub use server::{ServeOptions, StudioServer, serve};

@@ -26,6 +26,7 @@ pub fn command() -> Command {
                 .help("Print a page of the settings' reference"),
         )
         .arg(flag("commands", "Print the page of all commands"))
+        .arg(flag("openapi", "Print the requests of the studio as an OpenAPI document"))
         .arg(args::path("models", "Folder of network files to inspect"))
         .arg(
             Arg::new("kernels")
@@ -47,6 +48,9 @@ pub fn doctor(matches: &ArgMatches, program: Command) -> Result<(), Failure> {
     }
     if matches.get_flag("commands") {
         return print_line(super::reference::markdown(program).trim_end());
+    }
+    if matches.get_flag("openapi") {
+        return print_line(&format!("{:#}", segwild_studio::openapi()));
     }
     if let Some(adapter) = matches.get_one::<String>("kernels") {
         return kernels(adapter, matches.get_flag("json"));

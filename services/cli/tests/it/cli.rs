@@ -293,11 +293,12 @@ fn a_damaged_model_is_named() {
 }
 
 #[test]
-fn the_pages_of_settings_and_commands_are_up_to_date() {
+fn the_pages_of_settings_commands_and_requests_are_up_to_date() {
     let pages = [
         (&["--settings", "user"][..], "settings.md"),
         (&["--settings", "expert"], "expert-settings.md"),
         (&["--commands"], "cli.md"),
+        (&["--openapi"], "openapi.json"),
     ];
     for (page, file) in pages {
         let printed = works(&[&["doctor"], page].concat());

@@ -63,7 +63,7 @@ fn parts(bytes: Vec<u8>, media_type: &str, name: &str, version: String) -> Reply
     let count = bytes.len().div_ceil(MOST_PART).max(1);
     let (name, media_type) = (name.to_owned(), media_type.to_owned());
     let mut head = Some(v1::FilePart { name, media_type, version, bytes: Vec::new() });
-    let part = move |k: usize| {
+    let part = move |k: usize| -> Result<v1::FilePart, Status> {
         let bytes = bytes[k * MOST_PART..bytes.len().min((k + 1) * MOST_PART)].to_vec();
         Ok(v1::FilePart { bytes, ..head.take().unwrap_or_default() })
     };
@@ -232,5 +232,40 @@ impl Session for SessionService {
     async fn coco(&self, request: Request<v1::RunRequest>) -> Reply<Self::CocoStream> {
         let bytes = answered(&self.runs, &request.get_ref().run, |studio| studio.coco()).await?;
         parts(bytes, OCTETS, "coco.json", String::new())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn collected(bytes: &[u8]) -> Vec<v1::FilePart> {
+        let parts = parts(bytes.to_vec(), OCTETS, "a.ply", "7".into()).unwrap().into_inner();
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        runtime.block_on(parts.map(Result::unwrap).collect())
+    }
+
+    #[test]
+    fn a_file_goes_in_parts_of_which_the_first_describes_it() {
+        let bytes: Vec<u8> = (0..2 * MOST_PART + 9).map(|i| i as u8).collect();
+        let all = collected(&bytes);
+        let sizes: Vec<usize> = all.iter().map(|part| part.bytes.len()).collect();
+        assert_eq!(sizes, [MOST_PART, MOST_PART, 9]);
+        assert!(all.iter().flat_map(|part| &part.bytes).eq(&bytes));
+        let named = |part: &v1::FilePart| (part.name.clone(), part.media_type.clone(), part.version.clone());
+        assert_eq!(named(&all[0]), ("a.ply".into(), OCTETS.into(), "7".into()));
+        assert!(all[1..].iter().all(|part| named(part) == Default::default()));
+        // A file without bytes is a part as well.
+        assert_eq!(collected(&[]).len(), 1);
+    }
+
+    #[test]
+    fn refusals_of_requests_are_refusals_of_calls() {
+        let of = |kind| Status::from(Refusal::Because(kind, "why".into())).code();
+        assert_eq!(of(RefusalKind::Request), tonic::Code::InvalidArgument);
+        assert_eq!(of(RefusalKind::Conflict), tonic::Code::FailedPrecondition);
+        let entry = crate::messages::RunEntry { name: "a".into(), state: "opening", reason: None };
+        let status = Status::from(Refusal::Waiting(entry));
+        assert_eq!((status.code(), status.message()), (tonic::Code::Unavailable, "`a` is opening"));
     }
 }

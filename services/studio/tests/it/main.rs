@@ -4,5 +4,7 @@ mod changes;
 mod common;
 
 mod document;
+mod grpc;
 mod http;
 mod objects;
+mod openapi;
