@@ -68,6 +68,9 @@ impl PromptSegmenter for CountedProviders {
         self.1.one();
         self.0.segmenter.refine(image, certainty)
     }
+    fn finds_objects(&self) -> bool {
+        self.0.segmenter.finds_objects()
+    }
     fn prepare(&self, image: &Image) {
         self.0.segmenter.prepare(image);
     }

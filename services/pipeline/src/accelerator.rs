@@ -79,6 +79,9 @@ impl PromptSegmenter for Leased<dyn PromptSegmenter> {
         let _held = accelerator().acquire_urgent("a selection");
         self.0.refine(image, certainty)
     }
+    fn finds_objects(&self) -> bool {
+        self.0.finds_objects()
+    }
     fn boundary_strengths(&self, image: &Image) -> Result<Option<Image>, VisionError> {
         let _held = accelerator().acquire("boundaries");
         self.0.boundary_strengths(image)

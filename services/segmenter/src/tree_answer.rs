@@ -60,7 +60,7 @@ fn only_clicks(prompts: &Prompts) -> bool {
 /// The tree's answer to clicks, with their photos: the first positive click chooses a group, and the others correct it. The
 /// photo's own mask comes first where a photo has several positive clicks and its mask agrees with the tree, since it was drawn
 /// through all of them (on `liberty`, two clicks in one photo: IoU .94 to .96, by the tree .88), and where the tree answers one click
-/// with most of the scene. `request` needs no prompts.
+/// with most of the scene; always where the model of the masks finds whole objects by itself. `request` needs no prompts.
 pub(crate) fn answer(
     request: &Request,
     tree: &SceneTree,
@@ -87,14 +87,17 @@ pub(crate) fn answer(
     let Some(first) = found.first() else { return Ok(TreeAnswer::default()) };
     let corrected = |candidate: &GroupCandidate| tree.corrected(tree.leaves_of(candidate), &corrections);
     let several = |(_, prompts): &(usize, Prompts)| prompts.points.iter().filter(|p| p.inside).count() > 1;
-    let by_photo = granularity.is_none()
-        && if clicks.iter().any(several) {
-            let labels = tree.splats_of(&corrected(first).selected);
-            let together = clicks.iter().zip(photos).filter(|(click, _)| several(click));
-            photos_agree(request, &labels, together, segmenter)?
-        } else {
-            first.area > SCENE_AREA && corrections.is_empty()
-        };
+    let by_photo = if segmenter.finds_objects() {
+        true
+    } else if granularity.is_some() {
+        false
+    } else if clicks.iter().any(several) {
+        let labels = tree.splats_of(&corrected(first).selected);
+        let together = clicks.iter().zip(photos).filter(|(click, _)| several(click));
+        photos_agree(request, &labels, together, segmenter)?
+    } else {
+        first.area > SCENE_AREA && corrections.is_empty()
+    };
     let mut candidates: Vec<Option<&GroupCandidate>> = found.iter().map(Some).collect();
     candidates.insert(usize::from(!by_photo), None);
     let named = |candidate: &Option<&GroupCandidate>| match candidate {

@@ -125,8 +125,13 @@ pub trait PromptSegmenter: Send + Sync {
     /// Snaps a rough mask (a rendered selection, say) to the image's own boundaries. `certainty` has one
     /// number per pixel in [0, 1]: how likely the pixel belongs to the object.
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError>;
+    /// Whether it finds whole objects by itself, as SAM does. Its prompted masks then come before the groups of the scene tree, and
+    /// the tree is grown from the outlines of automatic masks (docs/method.md, section 13). Otherwise it has boundary strengths.
+    fn finds_objects(&self) -> bool {
+        true
+    }
     /// Boundary strengths of a photo in [0, 1], one plane of its size, for the scene tree (docs/method.md, section 13). `None`
-    /// where this model finds whole objects by itself: clicks then start from its masks, and no tree is grown.
+    /// where this model has none.
     fn boundary_strengths(&self, _image: &Image) -> Result<Option<Image>, VisionError> {
         Ok(None)
     }

@@ -408,6 +408,10 @@ impl PromptSegmenter for Builtin {
         Ok(at_size_of(image, refine::snap(&analysis, &plane.data)))
     }
 
+    fn finds_objects(&self) -> bool {
+        false
+    }
+
     fn boundary_strengths(&self, image: &Image) -> Result<Option<Image>, VisionError> {
         let strength = self.pixels(image)?.edges.strength.clone();
         let map = Image { width: strength.width, height: strength.height, channels: 1, data: strength.data };

@@ -300,8 +300,12 @@ impl PromptSegmenter for RemoteVision {
         })
     }
 
+    fn finds_objects(&self) -> bool {
+        self.key_of(Capability::FindBoundaries).is_none()
+    }
+
     fn boundary_strengths(&self, image: &Image) -> Result<Option<Image>, VisionError> {
-        if self.key_of(Capability::FindBoundaries).is_none() {
+        if self.finds_objects() {
             return Ok(None);
         }
         let size = (image.width, image.height, 1);

@@ -84,6 +84,7 @@ fn a_service_of_the_built_in_provider_answers_as_it_does_here() {
         there.segmenter.refine(&image, &rough).unwrap(),
         here.segmenter.refine(&image, &rough).unwrap()
     );
+    assert_eq!(there.segmenter.finds_objects(), here.segmenter.finds_objects());
     assert_eq!(
         there.segmenter.boundary_strengths(&image).unwrap(),
         here.segmenter.boundary_strengths(&image).unwrap()
