@@ -1,15 +1,16 @@
 //! The scene tree: nested groups of splats that the boundaries of all views agree on (method, section 13).
 //!
-//! Each view is added with its boundary map ([`TreeBuilder::add`]), unless enough others see what it sees. Two splats are as far
-//! apart as the median, over the views that see both, of the height at which their pixels' regions merge; there are three such
-//! distances, by the photos' boundaries, by the geometry and by both. Trees are grown from each ([`TreeBuilder::grow`]): by average
-//! linkage, and by distances in the eigenvectors of the whole graph. Clicks choose a group from all trees
-//! ([`SceneTree::candidates`]).
+//! Each view is added with its boundary map ([`TreeBuilder::add`]), unless enough others see what it sees. The map is a model's, or
+//! made of the outlines of automatic masks ([`mask_outlines()`]). Two splats are as far apart as the median, over the views that see
+//! both, of the height at which their pixels' regions merge; there are three such distances, by the photos' boundaries, by the
+//! geometry and by both. Trees are grown from each ([`TreeBuilder::grow`]): by average linkage, and by distances in the eigenvectors
+//! of the whole graph. Clicks choose a group from all trees ([`SceneTree::candidates`]).
 
 mod boundaries;
 mod corrections;
 mod graph;
 mod growth;
+mod mask_outlines;
 mod parts;
 mod query;
 mod spectral;
@@ -17,6 +18,7 @@ mod tree;
 
 pub use corrections::{CorrectedLeaves, LeafClick, ShownLeaves};
 pub use graph::{CUES, FrontBorder, SplatEdge, SplatGraph, SplatsInView, TreeBuilder};
+pub use mask_outlines::mask_outlines;
 pub use parts::{MOST_PARTS, PartMap, SceneParts};
 pub(crate) use query::SCENE_AREA;
 pub use query::{GroupCandidate, TreeQuery};
