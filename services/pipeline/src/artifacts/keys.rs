@@ -4,7 +4,7 @@
 //! exactly what depends on it.
 
 use super::digests::{Digests, PhotoRefusal};
-use super::scene_tree::tree_key;
+use super::scene_tree::{masked_tree_key, tree_key};
 use crate::Settings;
 use segwild_features::{Compression, FeatureSettings};
 use segwild_flow::Key;
@@ -13,7 +13,7 @@ use segwild_scene::settings::Group;
 use segwild_scene::{Scene, View};
 use segwild_trainer::{AppearanceModel, TrainSettings};
 use segwild_vision::Providers;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Raised when the bytes that a stage makes from the same input change.
 const FORMAT: u32 = 5;
@@ -55,6 +55,8 @@ pub struct Keys {
     pub evaluation: Key,
     /// Key of the provider whose boundaries the scene tree is grown from.
     segmenter: String,
+    /// Where the tree is grown from masks instead: the views that take part, and whether each has masks.
+    masked: Option<BTreeMap<usize, bool>>,
 }
 
 /// Settings that a group's artefacts do not depend on. Some change only the speed or the memory; others have an effect
@@ -223,6 +225,11 @@ impl Keys {
                     .finish()
             })
             .collect();
+        let takes_part = |i: &usize| !scene.views[*i].test && digests[*i].is_ok();
+        let masked: Option<BTreeMap<usize, bool>> = match providers.segmenter.finds_objects() {
+            true => Some(views.clone().filter(takes_part).map(|i| (i, true)).collect()),
+            false => None,
+        };
         let mut features = Key::of("features")
             .value("format", FORMAT)
             .part("settings", text::<FeatureSettings>(settings))
@@ -258,6 +265,7 @@ impl Keys {
                 )
                 .finish(),
             segmenter: providers.segmenter.key(),
+            masked,
         }
     }
 
@@ -323,7 +331,20 @@ impl Keys {
 
     /// The key of the tree of the trained scene.
     pub(crate) fn scene_tree(&self) -> Key {
-        tree_key(&self.geometry.to_string(), &self.segmenter)
+        let geometry = self.geometry.to_string();
+        match &self.masked {
+            None => tree_key(&geometry, &self.segmenter),
+            Some(masked) => {
+                let masks = masked.iter().map(|(&view, has)| (view, has.then(|| self.masks[view])));
+                masked_tree_key(&geometry, &masks.collect())
+            }
+        }
+    }
+
+    /// Grows the scene tree without the masks of some photos, which were given up.
+    pub fn give_up_masks(&mut self, views: &BTreeSet<usize>) {
+        let masked = self.masked.iter_mut().flatten();
+        masked.filter(|(view, _)| views.contains(*view)).for_each(|(_, has)| *has = false);
     }
 
     /// By view, the reason why its photo cannot be used; `None` where it can.

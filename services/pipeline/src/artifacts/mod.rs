@@ -11,6 +11,7 @@ pub(crate) mod images;
 pub(crate) mod intact;
 pub(crate) mod keys;
 pub(crate) mod lpips;
+pub(crate) mod photo_boundaries;
 pub(crate) mod photo_cache;
 pub(crate) mod prompts;
 pub(crate) mod recompute;

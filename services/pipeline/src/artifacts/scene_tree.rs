@@ -1,12 +1,12 @@
 //! The scene tree of a run: grown once from the trained scene and its photos, and kept in the run's cache (method, section 13).
 
+use super::photo_boundaries::{MaskKeys, PhotoBoundaries, PhotoCue};
 use crate::RunError;
-use segwild_flow::{Cache, Key};
+use segwild_flow::{Cache, Key, KeyBuilder};
 use segwild_scene::PhotoStore;
 use segwild_segmenter::PosedView;
 use segwild_segmenter::scene_tree::{SceneTree, TreeBuilder};
 use segwild_trainer::Model;
-use segwild_vision::PromptSegmenter;
 
 /// Its domain in the cache, the kind of its record, and the name under which the ledger says that the run uses it.
 pub(crate) const OBJECTS: &str = "objects";
@@ -19,6 +19,19 @@ pub(crate) fn tree_key(geometry: &str, segmenter: &str) -> Key {
     Key::of(OBJECTS).value("format", FORMAT).part("geometry", geometry).part("segmenter", segmenter).finish()
 }
 
+/// Name of the tree of a trained scene, whose boundaries are the outlines of these masks.
+pub(crate) fn masked_tree_key(geometry: &str, masks: &MaskKeys) -> Key {
+    let key = Key::of(OBJECTS).value("format", FORMAT).part("geometry", geometry);
+    let add = |key: KeyBuilder, (view, masks): (&usize, &Option<Key>)| {
+        let name = format!("masks {view}");
+        match masks {
+            Some(masks) => key.key(&name, masks),
+            None => key.part(&name, "given up"),
+        }
+    };
+    masks.iter().fold(key, add).finish()
+}
+
 /// Where trees come from.
 pub(crate) struct TreeSource<'a> {
     /// The photos.
@@ -27,18 +40,21 @@ pub(crate) struct TreeSource<'a> {
     pub model: &'a Model,
     /// Key of the trained scene.
     pub geometry: &'a str,
-    /// Finds boundaries in photos.
-    pub segmenter: &'a dyn PromptSegmenter,
+    /// Boundaries in the photos.
+    pub boundaries: PhotoBoundaries<'a>,
 }
 
 impl TreeSource<'_> {
     /// Name of the tree.
     pub fn key(&self) -> Key {
-        tree_key(self.geometry, &self.segmenter.key())
+        match &self.boundaries {
+            PhotoBoundaries::Model(segmenter) => tree_key(self.geometry, &segmenter.key()),
+            PhotoBoundaries::Masks { keys, .. } => masked_tree_key(self.geometry, keys),
+        }
     }
 
-    /// Reads the tree from the cache, or grows it. `None` where the segmenter finds objects by itself. Photos that cannot be read,
-    /// those held out, and those that see nothing but what enough others see take no part; the last are only counted
+    /// Reads the tree from the cache, or grows it. `None` where the boundaries of a photo that it needs are not there. Photos that
+    /// cannot be read, those held out, and those that see nothing but what enough others see take no part; the last are only counted
     /// ([`SceneTree::shown_by`]).
     ///
     /// # Errors
@@ -50,6 +66,9 @@ impl TreeSource<'_> {
             cache.get_typed::<SceneTree>(&key, OBJECTS)?.filter(|tree| tree.fits(splats.len()))
         {
             return Ok(Some(kept));
+        }
+        if self.boundaries.is_empty() {
+            return Ok(None);
         }
         let mut builder = TreeBuilder::new(splats, self.model.options());
         let mut seen = false;
@@ -66,9 +85,11 @@ impl TreeSource<'_> {
                 builder.count(&view);
                 continue;
             }
-            let Ok(photo) = self.photos.read(index) else { continue };
-            let Some(boundaries) = self.segmenter.boundary_strengths(&photo.image)? else { return Ok(None) };
-            builder.add(view, &boundaries);
+            match self.boundaries.of(self.photos, index, width, height)? {
+                PhotoCue::Strengths(strengths) => builder.add(view, &strengths),
+                PhotoCue::LeftOut => continue,
+                PhotoCue::Missing => return Ok(None),
+            }
             seen = true;
         }
         if !seen || stopping() {
@@ -79,5 +100,29 @@ impl TreeSource<'_> {
             tracing::warn!("the scene tree is not kept, so that each click grows it again: {error}");
         }
         Ok(Some(tree))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tree_by_masks_is_named_by_each_of_them() {
+        let masks = |settings: &str| Key::of("masks").part("settings", settings).finish();
+        let of = |second: Option<Key>| {
+            masked_tree_key("geometry:1", &MaskKeys::from([(0, Some(masks("a"))), (2, second)]))
+        };
+        let key = of(Some(masks("b")));
+        assert_eq!(key, of(Some(masks("b"))));
+        let others = [
+            of(Some(masks("c"))),
+            of(None),
+            masked_tree_key("geometry:1", &MaskKeys::from([(0, Some(masks("a")))])),
+            masked_tree_key("geometry:1", &MaskKeys::from([(0, Some(masks("a"))), (3, Some(masks("b")))])),
+            masked_tree_key("geometry:2", &MaskKeys::from([(0, Some(masks("a"))), (2, Some(masks("b")))])),
+            tree_key("geometry:1", "sam"),
+        ];
+        assert!(others.iter().all(|other| *other != key));
     }
 }

@@ -171,6 +171,7 @@ impl Before {
             views.filter(|&view| then.scene.views[view].test == test).collect()
         };
         let mut without_given_up = then.keys.without_skies(&by(Stage::Sky, false), &by(Stage::Sky, true));
+        without_given_up.give_up_masks(&by(Stage::Masks, false));
         without_given_up.features = without_given_up.features_without(
             &by(Stage::Embed, false),
             &by(Stage::Masks, false),

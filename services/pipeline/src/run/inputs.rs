@@ -4,6 +4,7 @@
 use crate::RunFolder;
 use crate::artifacts::folder::MODEL;
 use crate::artifacts::keys::Keys;
+use crate::artifacts::photo_boundaries::MASKS;
 use crate::artifacts::recompute::{CachedArtefact, Recompute};
 use crate::run::skies::Skies;
 use crate::run::view_slots::ViewSlots;
@@ -20,8 +21,6 @@ use std::sync::Arc;
 
 /// Kind of the cache's visibility records.
 pub const VISIBILITY: &str = "visibility";
-/// Kind of the cache's mask records, as the masks actor writes them.
-const MASKS: &str = "masks";
 
 /// Renders the scene of the snapshot step, from which masks are proposed.
 pub struct SnapshotRenders {

@@ -31,6 +31,7 @@ mod speed;
 mod stage;
 mod stages;
 mod tally;
+mod tree;
 mod until;
 mod view_slots;
 mod wiring;

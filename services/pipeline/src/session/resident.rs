@@ -4,6 +4,7 @@ use super::answer::{PendingAnswer, failed};
 use crate::accelerator::leased;
 use crate::artifacts::folder::{Loaded, TrainingSnapshot};
 use crate::artifacts::images::ImageFiles;
+use crate::artifacts::photo_boundaries::PhotoBoundaries;
 use crate::artifacts::photo_cache::RunPhotoCache;
 use crate::artifacts::prompts::check_all;
 use crate::artifacts::scene_tree::TreeSource;
@@ -127,8 +128,8 @@ impl Session {
         let photos = Arc::new(cached.store(PHOTO_BYTES));
         let tree = match training.as_ref().filter(|_| tree) {
             Some(geometry) => {
-                let segmenter = &*providers.segmenter;
-                let source = TreeSource { photos: &photos, model: &model, geometry, segmenter };
+                let boundaries = PhotoBoundaries::of_run(&*providers.segmenter, folder, &scene)?;
+                let source = TreeSource { photos: &photos, model: &model, geometry, boundaries };
                 let tree = source.tree(&folder.cache()?, &|| stopper.phase() != Phase::Running)?;
                 tree.map(|tree| KeyedTree { key: source.key().to_string(), tree: Arc::new(tree) })
             }
@@ -203,7 +204,8 @@ impl Session {
         &self.model
     }
 
-    /// The scene tree; `None` where the provider of the masks finds objects by itself, and where none was requested.
+    /// The scene tree; `None` where none was requested, where the training is not over, and where the masks that it is grown from
+    /// have gone from the cache.
     pub fn tree(&self) -> Option<&Arc<SceneTree>> {
         self.tree.as_ref().map(|keyed| &keyed.tree)
     }
@@ -221,10 +223,9 @@ impl Session {
     /// What the list of the scene's objects is made of.
     pub(crate) fn list_request(&self) -> Result<ListRequest<'_>, RunError> {
         let Some(KeyedTree { key, tree }) = &self.tree else {
-            return Err(RunError::Request(format!(
-                "this run has no scene tree, so that its objects cannot be listed: {} finds objects by itself",
-                self.providers.name
-            )));
+            return Err(RunError::Request(
+                "this run has no scene tree, so that its objects cannot be listed: `segwild run` with the same folder grows it".into(),
+            ));
         };
         Ok(ListRequest { photos: &self.photos, model: &self.model, tree, key: key.clone() })
     }

@@ -2,17 +2,17 @@
 
 use crate::RunError;
 use crate::artifacts::keys::Keys;
-use crate::artifacts::scene_tree::TreeSource;
 use crate::output::objects::{ListRequest, ObjectList};
 use crate::run::after::AfterActors;
 use crate::run::context::RunContext;
 use crate::run::diagnostics;
+use crate::run::inputs::Inputs;
 use crate::run::need::{Extent, Need};
 use crate::run::node::{Performer, StageNode, StageWork};
 use crate::run::results::StageResults;
 use crate::run::stage::Stage;
+use crate::run::tree::tree_source;
 use segwild_flow::{Event, Key};
-use segwild_trainer::Model;
 
 /// The stage in the graph.
 pub const NODE: StageNode = StageNode {
@@ -31,19 +31,27 @@ pub const NODE: StageNode = StageNode {
 const FORMAT: u32 = 1;
 
 fn list_key(keys: &Keys) -> Key {
-    Key::of("objects stage").key("tree", &keys.scene_tree()).value("format", FORMAT).finish()
+    list_of(&keys.scene_tree())
+}
+
+fn list_of(tree: &Key) -> Key {
+    Key::of("objects stage").key("tree", tree).value("format", FORMAT).finish()
 }
 
 fn objects(after: &mut AfterActors<'_, '_>) -> Result<(), RunError> {
     let AfterActors { run, report, traces, .. } = after;
-    match run.made.model.clone() {
-        Some(model) => traces.step(report, Stage::Objects.name(), || list(run, &model)),
+    match run.made.inputs.clone() {
+        Some(inputs) => traces.step(report, Stage::Objects.name(), || list(run, &inputs)),
         None => Ok(()),
     }
 }
 
-fn list(run: &RunContext<'_>, model: &Model) -> Result<(), RunError> {
-    let (folder, name, key) = (run.folder, Stage::Objects.name(), list_key(&run.keys));
+fn list(run: &RunContext<'_>, inputs: &Inputs) -> Result<(), RunError> {
+    let geometry = run.keys.geometry.to_string();
+    let stopping = || run.is_stopping();
+    let source = tree_source(inputs, &geometry, &*run.segmenter, &stopping)?;
+    // Of a tree without the masks of photos that were given up, it is another list.
+    let (folder, name, key) = (run.folder, Stage::Objects.name(), list_of(&source.key()));
     let events = &run.options.events;
     let before = ObjectList::read(folder);
     if run.ledger.stage_is_done(name, &key)? && before.is_some() {
@@ -52,12 +60,9 @@ fn list(run: &RunContext<'_>, model: &Model) -> Result<(), RunError> {
     }
     run.ledger.start_stage(name, &key)?;
     let progress = events.stage(name, None);
-    let geometry = run.keys.geometry.to_string();
-    let source = TreeSource { photos: &run.photos, model, geometry: &geometry, segmenter: &*run.segmenter };
-    let stopping = || run.is_stopping();
     match source.tree(&run.cache, &stopping)? {
         Some(tree) => {
-            let (photos, key) = (&*run.photos, source.key().to_string());
+            let (photos, model, key) = (source.photos, source.model, source.key().to_string());
             let request = ListRequest { photos, model, tree: &tree, key };
             let listed = request.list(before.as_ref(), &run.options.stopper)?;
             listed.write(folder)?;
@@ -66,7 +71,7 @@ fn list(run: &RunContext<'_>, model: &Model) -> Result<(), RunError> {
             }
         }
         None if stopping() => return Err(RunError::Interrupted),
-        // The provider finds objects by itself: a list of another provider's tree is of no use.
+        // A list of another tree is of no use.
         None => ObjectList::remove(folder)?,
     }
     progress.finish();

@@ -4,7 +4,7 @@
 
 use crate::RunError;
 use crate::artifacts::cache::SNAPSHOT;
-use crate::artifacts::scene_tree::{OBJECTS, TreeSource};
+use crate::artifacts::scene_tree::OBJECTS;
 use crate::run::context::RunContext;
 use crate::run::inputs::{Inputs, VISIBILITY};
 use crate::run::memory;
@@ -13,11 +13,11 @@ use crate::run::node::{Performer, StageNode, StageWork};
 use crate::run::outcome::ActorOutcome;
 use crate::run::results::StageResults;
 use crate::run::stage::Stage;
+use crate::run::tree::tree_source;
 use crate::run::work::{ActorStage, Actors, StageState};
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{ActorFailure, ActorOptions, Context, Quarantined, fault};
 use segwild_scene::Mask;
-use segwild_vision::PromptSegmenter;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -28,6 +28,8 @@ pub const NODE: StageNode = StageNode {
     feed: None,
     needs: &[
         Need { stage: Stage::Sky, extent: Extent::Part, what: "skies" },
+        // A tree that is grown from masks waits for those of all photos.
+        Need { stage: Stage::Masks, extent: Extent::PerPhoto, what: "masks*" },
         Need { stage: Stage::Geometry, extent: Extent::Whole, what: "trained scene" },
     ],
     results: StageResults::PerPhoto {
@@ -77,11 +79,9 @@ impl ActorStage for VisibilityStage {
         run.made.inputs = Some(inputs.clone());
         let (views, out) = (run.views(false), actors.own.clone());
         let geometry = run.keys.geometry.to_string();
-        let tree = tree_source(&inputs, &geometry, &*run.segmenter).key();
-        // The ledger names it, so that the cache keeps it.
-        run.ledger.record_view(SNAPSHOT, OBJECTS, &tree, &ViewOutcome::cached())?;
         let (folder, segmenter, events) =
             (run.folder.clone(), run.segmenter.clone(), run.options.events.clone());
+        let ledger = run.ledger.clone();
         actors.system.source(Stage::Visibility.name(), ActorOptions::default(), move |context| {
             let mut failed = Vec::new();
             for &view in &views {
@@ -99,13 +99,19 @@ impl ActorStage for VisibilityStage {
             }
             context.check()?;
             let _step = context.span("scene tree");
-            let source = tree_source(&inputs, &geometry, &*segmenter);
             let stopping = || {
                 context.progress();
                 context.check().is_err()
             };
-            match source.tree(&inputs.recompute.cache, &stopping) {
-                Ok(_) | Err(RunError::Interrupted) => {}
+            let grow = || -> Result<(), RunError> {
+                let source = tree_source(&inputs, &geometry, &*segmenter, &stopping)?;
+                // The ledger names it, so that the cache keeps it.
+                ledger.record_view(SNAPSHOT, OBJECTS, &source.key(), &ViewOutcome::cached())?;
+                source.tree(&inputs.recompute.cache, &stopping)?;
+                Ok(())
+            };
+            match grow() {
+                Ok(()) | Err(RunError::Interrupted) => {}
                 // Clicks try again, and say so where they cannot do without it.
                 Err(error) => {
                     events.warn(Some(Stage::Geometry.name()), format!("no scene tree was grown: {error}"))
@@ -134,15 +140,6 @@ impl ActorStage for VisibilityStage {
         run.weigh_failures(Stage::Visibility, run.views(false).len());
         Ok(None)
     }
-}
-
-/// The scene tree of the trained scene.
-fn tree_source<'a>(
-    inputs: &'a Inputs,
-    geometry: &'a str,
-    segmenter: &'a dyn PromptSegmenter,
-) -> TreeSource<'a> {
-    TreeSource { photos: &inputs.photos, model: &inputs.model, geometry, segmenter }
 }
 
 /// Computes the visibility of a photo into the cache, if it is not there.
