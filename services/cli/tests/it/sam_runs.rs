@@ -5,6 +5,8 @@
 mod toy;
 
 use crate::common::*;
+use std::path::Path;
+use std::process::{Command, Output};
 use toy::{SAM, Takes, ToyDecoder, ToyFault, can_run, decoder, encoder};
 
 #[test]
@@ -36,7 +38,7 @@ fn a_run_by_sam_is_whole_kept_and_made_again_when_a_file_changes() {
     assert_eq!(results(&run), before);
 
     // A click is answered by the networks, and selects something.
-    let picked = select(&run, &[]);
+    let picked = select(&run, &["--models", &models_flag]);
     assert_eq!(picked.status.code(), Some(0), "{}", text(&picked.stderr));
     let summary = std::fs::read(run.join("selections/it/summary.json")).expect("it is there");
     assert!(json(&summary)["splats"].as_u64().is_some_and(|n| n > 0), "{}", text(&summary));
@@ -51,6 +53,62 @@ fn a_run_by_sam_is_whole_kept_and_made_again_when_a_file_changes() {
     toy::write(&models, "mobile_sam", &packed, &other);
     let (stdout, _) = completes(&args);
     assert_eq!(made(&stdout), 16, "{stdout}");
+}
+
+/// Runs a command that may load the networks of a folder.
+fn with_models(models: &Path, args: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_segwild"));
+    command.args(args).env("SEGWILD_MODELS", models).output().expect("the program starts")
+}
+
+#[test]
+fn a_scene_tree_is_grown_from_masks_of_sam_and_sam_stays_the_first_answer() {
+    if !can_run("a_scene_tree_is_grown_from_masks_of_sam_and_sam_stays_the_first_answer") {
+        return;
+    }
+    let dir = folder();
+    let (models, run) = (dir.path().join("models"), dir.path().join("run"));
+    toy::write_usual(&models);
+    let (models_text, run_text) = (show(&models), show(&run));
+    let args = again(&run, &["--models", &models_text]);
+    completes(&args);
+    let tree = || {
+        let list = std::fs::read(run.join("objects/objects.json")).expect("the run listed its objects");
+        json(&list)["tree"].as_str().expect("a key").to_owned()
+    };
+    let before = tree();
+    let (_, click) = clearest();
+    let at = format!("{},{}", click.x, click.y);
+    let alternatives = || {
+        let output = with_models(
+            &models,
+            &["segment", &run_text, "--photo", &click.photo, "--positive", &at, "--json"],
+        );
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        json(&output.stdout)["alternatives"].as_array().expect("a list").clone()
+    };
+    let found = alternatives();
+    assert!(found.len() > 1 && found[0] == "photo", "{found:?}");
+    let listed = with_models(&models, &["objects", &run_text, "--json"]);
+    assert!(listed.status.success(), "{}", text(&listed.stderr));
+    assert!(json(&listed.stdout)["objects"].is_array(), "{}", text(&listed.stdout));
+
+    // Other masks: another tree.
+    let other = decoder(ToyDecoder { masks: 3, ..SAM });
+    toy::write(&models, "mobile_sam", &encoder(Takes::Planes, ToyFault::None), &other);
+    completes(&args);
+    assert_ne!(tree(), before);
+
+    // No tree without masks; a run makes them again, and grows it.
+    for domain in ["masks.d", "objects.d"] {
+        std::fs::remove_dir_all(run.join("cache").join(domain)).expect("it goes");
+    }
+    assert!(alternatives().is_empty());
+    let refused = with_models(&models, &["objects", &run_text]);
+    assert_eq!(refused.status.code(), Some(2), "{}", text(&refused.stderr));
+    assert!(text(&refused.stderr).contains("no scene tree"), "{}", text(&refused.stderr));
+    completes(&args);
+    assert!(alternatives().len() > 1);
 }
 
 #[test]
