@@ -1,7 +1,7 @@
 //! The first answer to clicks by the scene tree (method, section 13).
 
 use crate::scene_tree::{
-    CorrectedLeaves, GroupCandidate, LeafClick, NONE, SCENE_AREA, SceneTree, ShownLeaves, TreeQuery,
+    CorrectedLeaves, GroupCandidate, LeafClick, NONE, SCENE_AREA, SceneTree, ShownLeaves,
 };
 use crate::select::hits;
 use crate::{AnswerStep, Evidence, FirstAnswer, PosedView, PromptedView, Request, SegmentError, seen_once};
@@ -75,15 +75,24 @@ pub(crate) fn answer(
     {
         return Ok(TreeAnswer::default());
     }
-    let Some(hit) = leaf_clicks(request, tree, clicks)? else { return Ok(TreeAnswer::default()) };
-    let Some(at) = hit.iter().position(|click| click.inside) else { return Ok(TreeAnswer::default()) };
-    let mut corrections = hit;
-    let query = TreeQuery { inside: &[corrections.remove(at).leaf], outside: &[] };
+    let Some(mut hit) = leaf_clicks(request, tree, clicks)? else { return Ok(TreeAnswer::default()) };
+    let Some(at) = hit.iter().position(|(_, click)| click.inside) else { return Ok(TreeAnswer::default()) };
+    let (prompt, start) = hit.remove(at);
+    let corrections: Vec<LeafClick> = hit.into_iter().map(|(_, click)| click).collect();
     let granularity = clicks.iter().find_map(|(_, prompts)| prompts.granularity);
-    let found = match granularity {
-        Some(granularity) => tree.candidates_of_size(&query, granularity),
-        None => tree.candidates(&query),
+    let mut found = match granularity {
+        Some(granularity) => tree.candidates_of_size(start.leaf, granularity),
+        None => tree.candidates(start.leaf),
     };
+    let is_scene = granularity.is_none() && found.first().is_some_and(|first| first.area > SCENE_AREA);
+    if is_scene && !corrections.is_empty() {
+        // The click alone was answered by its photo: what is corrected is the group most like that.
+        let (view, prompts) = &clicks[prompt];
+        let alone = prompts.points.iter().copied().find(|point| point.inside);
+        let alone = (*view, Prompts { points: alone.into_iter().collect(), ..Prompts::default() });
+        let own = own_mask(request, &alone, &photos[prompt], segmenter)?;
+        found.splice(0..0, tree.most_alike(&start, &own));
+    }
     let Some(first) = found.first() else { return Ok(TreeAnswer::default()) };
     let corrected = |candidate: &GroupCandidate| tree.corrected(tree.leaves_of(candidate), &corrections);
     let several = |(_, prompts): &(usize, Prompts)| prompts.points.iter().filter(|p| p.inside).count() > 1;
@@ -96,7 +105,7 @@ pub(crate) fn answer(
         let together = clicks.iter().zip(photos).filter(|(click, _)| several(click));
         photos_agree(request, &labels, together, segmenter)?
     } else {
-        first.area > SCENE_AREA && corrections.is_empty()
+        is_scene && corrections.is_empty()
     };
     let mut candidates: Vec<Option<&GroupCandidate>> = found.iter().map(Some).collect();
     candidates.insert(usize::from(!by_photo), None);
@@ -113,15 +122,16 @@ pub(crate) fn answer(
     Ok(TreeAnswer { group, alternatives })
 }
 
-/// The leaves that clicks hit, in order; `None` where a positive one hits none. A negative one that hits none says nothing.
+/// The leaves that clicks hit, in order, each with the number of its photo's prompts; `None` where a positive one hits none. A
+/// negative one that hits none says nothing.
 fn leaf_clicks(
     request: &Request,
     tree: &SceneTree,
     clicks: &[(usize, Prompts)],
-) -> Result<Option<Vec<LeafClick>>, SegmentError> {
+) -> Result<Option<Vec<(usize, LeafClick)>>, SegmentError> {
     let nothing = Mask::empty(1, 1);
     let mut found = Vec::new();
-    for (view, prompts) in clicks {
+    for (number, (view, prompts)) in clicks.iter().enumerate() {
         for point in &prompts.points {
             let points = std::slice::from_ref(point);
             let prompt =
@@ -133,7 +143,7 @@ fn leaf_clicks(
                     let (posed, at) = (&request.views[*view], Vec2::new(point.x, point.y));
                     let shown = ShownLeaves::of(tree, request.splats, &request.options, posed, at)
                         .map_err(SegmentError::raster(&posed.name))?;
-                    found.push(LeafClick { leaf, inside: point.inside, shown });
+                    found.push((number, LeafClick { leaf, inside: point.inside, shown }));
                 }
                 None if point.inside => return Ok(None),
                 None => {}
@@ -143,6 +153,18 @@ fn leaf_clicks(
     Ok(Some(found))
 }
 
+/// The mask that a photo itself gives for its prompts.
+fn own_mask(
+    request: &Request,
+    (view, prompts): &(usize, Prompts),
+    photo: &Image,
+    segmenter: &dyn PromptSegmenter,
+) -> Result<Mask, SegmentError> {
+    let name = || request.views[*view].name.clone();
+    let failed = |e: VisionError| SegmentError::Provider { photo: name(), reason: e.to_string() };
+    Ok(segmenter.prompted(photo, prompts).map_err(failed)?.answer.mask)
+}
+
 /// Whether the own masks of photos agree with labels: then both mean the same, and the photo knows its outline best.
 fn photos_agree<'a>(
     request: &Request,
@@ -150,11 +172,9 @@ fn photos_agree<'a>(
     clicks: impl Iterator<Item = (&'a (usize, Prompts), &'a Image)>,
     segmenter: &dyn PromptSegmenter,
 ) -> Result<bool, SegmentError> {
-    for ((view, prompts), photo) in clicks {
-        let posed = &request.views[*view];
-        let failed =
-            |e: VisionError| SegmentError::Provider { photo: posed.name.clone(), reason: e.to_string() };
-        let own = segmenter.prompted(photo, prompts).map_err(failed)?.answer.mask;
+    for (click, photo) in clicks {
+        let posed = &request.views[click.0];
+        let own = own_mask(request, click, photo, segmenter)?;
         let share = share_of(request, posed, labels)?;
         let shown = Mask::from_fn(share.width as u32, share.height as u32, |x, y| {
             share.at(0, x as usize, y as usize) > MIN_GROUP_SHARE

@@ -1,9 +1,9 @@
 //! Corrections of a group by further clicks (method, section 13): each adds or takes out the part that it hits, and changes
 //! nothing else.
 
-use super::query::{MIN_AREA, expected};
+use super::query::expected;
 use super::tree::{Growth, TREES};
-use super::{NONE, SceneTree};
+use super::{GroupCandidate, NONE, SceneTree};
 use crate::PosedView;
 use glam::Vec2;
 use segwild_raster::{CpuEngine, ProjectOptions, RasterError};
@@ -13,10 +13,9 @@ use segwild_scene::{Mask, Splats};
 /// lacks it (method, section 13). By choice.
 const MIN_WRONG_SHARE: f32 = 0.7;
 
-/// Largest part that a click adds, and that it takes out, as a share of the selection's light (method, section 13). From
+/// Largest part that a click adds or takes out, as a share of the selection's light (method, section 13). From
 /// docs/experiments/2026-11-30-corrections.md.
-const MAX_ADDED: f32 = 0.5;
-const MAX_TAKEN_OUT: f32 = 0.25;
+const MAX_PART: f32 = 0.5;
 
 /// Weight of how deep a click lies within a part, beside the part's expected IoU (method, section 13): a person clicks into the
 /// middle of what is wrong. From docs/experiments/2026-11-30-corrections.md.
@@ -74,13 +73,17 @@ impl ShownLeaves {
         Ok(ShownLeaves { width: camera.width, height: camera.height, leaves, clicked })
     }
 
-    /// How deep the click lies within some leaves: 0 outside of them, 1 where they are deepest.
-    fn depth(&self, part: &[bool]) -> f32 {
-        let within = |x: u32, y: u32| {
+    /// The pixels that show some leaves.
+    fn mask(&self, part: &[bool]) -> Mask {
+        Mask::from_fn(self.width, self.height, |x, y| {
             let leaf = self.leaves[(y * self.width + x) as usize];
             leaf != NONE && part[leaf as usize]
-        };
-        let depths = Mask::from_fn(self.width, self.height, within).not().distances();
+        })
+    }
+
+    /// How deep the click lies within some leaves: 0 outside of them, 1 where they are deepest.
+    fn depth(&self, part: &[bool]) -> f32 {
+        let depths = self.mask(part).not().distances();
         let most = depths.iter().copied().fold(0.0, f32::max);
         let (x, y) = self.clicked;
         if most > 0.0 { depths[(y * self.width + x) as usize] / most } else { 0.0 }
@@ -104,6 +107,18 @@ impl CorrectedLeaves {
 }
 
 impl SceneTree {
+    /// The group that a click hits and that its photo shows most like a mask; `None` where none shows there.
+    pub fn most_alike(&self, click: &LeafClick, mask: &Mask) -> Option<GroupCandidate> {
+        let ShownLeaves { width, height, .. } = click.shown;
+        let mask = mask.resized(width, height);
+        let alike = |group: GroupCandidate| {
+            let iou = click.shown.mask(&self.leaves_of(&group)).iou(&mask);
+            (iou > 0.0).then_some((iou, group))
+        };
+        let groups = self.groups_with(click.leaf).into_iter().filter_map(alike);
+        groups.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, group)| group)
+    }
+
     /// Corrects a selection of leaves by clicks, one after the other. No part contradicts any of them.
     pub fn corrected(&self, selected: Vec<bool>, clicks: &[LeafClick]) -> CorrectedLeaves {
         let mut now = CorrectedLeaves::uncorrected(selected);
@@ -127,10 +142,8 @@ impl SceneTree {
         for (number, tree) in self.trees.iter().enumerate() {
             let merges = &tree.merges;
             let area = |node: u32| tree.groups[node as usize].area;
-            let sum = |of: &dyn Fn(usize) -> bool| -> f32 {
-                (0..leaves).filter(|&leaf| of(leaf)).map(|leaf| area(leaf as u32)).sum()
-            };
-            let most = if click.inside { MAX_ADDED } else { MAX_TAKEN_OUT } * sum(&|leaf| selected[leaf]);
+            let most = MAX_PART
+                * (0..leaves).filter(|&leaf| selected[leaf]).map(|leaf| area(leaf as u32)).sum::<f32>();
             let wrong: Vec<f32> =
                 (0..leaves).map(|leaf| if is_wrong(leaf) { area(leaf as u32) } else { 0.0 }).collect();
             let wrong = merges.sums(&wrong);
@@ -141,12 +154,8 @@ impl SceneTree {
             };
             let others = clicks.iter().filter(|other| other.inside != click.inside);
             let against = others.map(|other| merges.meet(click.leaf, other.leaf)).min();
-            let large = || merges.ancestors(click.leaf).filter(|&node| area(node) >= MIN_AREA);
-            let gap = |node: u32| {
-                merges.height[merges.parent[node as usize] as usize] - merges.height[node as usize]
-            };
-            let widest = large().map(gap).fold(1e-9, f32::max);
-            for node in large().take_while(|node| against.is_none_or(|against| *node < against)) {
+            let groups = tree.large_groups_with(click.leaf);
+            for (node, gap) in groups.take_while(|(node, _)| against.is_none_or(|against| *node < against)) {
                 if smallest.as_ref().is_none_or(|(least, _)| area(node) < *least) {
                     smallest = Some((area(node), part(node)));
                 }
@@ -158,8 +167,7 @@ impl SceneTree {
                 let candidate = part(node);
                 let within: Vec<bool> = (0..leaves).map(|leaf| candidate[leaf] && is_wrong(leaf)).collect();
                 let average = TREES[number].1 == Growth::Average;
-                let score = expected(tree, node, gap(node) / widest, average)
-                    + DEPTH_WEIGHT * click.shown.depth(&within);
+                let score = expected(tree, node, gap, average) + DEPTH_WEIGHT * click.shown.depth(&within);
                 if best.as_ref().is_none_or(|(most, _)| score > *most) {
                     best = Some((score, candidate));
                 }

@@ -20,7 +20,7 @@ pub use corrections::{CorrectedLeaves, LeafClick, ShownLeaves};
 pub use graph::{CUES, FrontBorder, SplatEdge, SplatGraph, SplatsInView, TreeBuilder};
 pub use mask_outlines::mask_outlines;
 pub use parts::{MOST_PARTS, PartMap, SceneParts};
+pub use query::GroupCandidate;
 pub(crate) use query::SCENE_AREA;
-pub use query::{GroupCandidate, TreeQuery};
 pub use segwild_vision::linkage::MergeTree;
 pub use tree::{GroupTree, NONE, SceneTree, SplatGroup};

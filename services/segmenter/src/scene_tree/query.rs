@@ -1,7 +1,7 @@
 //! Clicks against the scene tree: from what they hit to ranked groups of splats (method, section 13).
 
 use super::tree::{Growth, TREES};
-use super::{GroupTree, NONE, SceneTree};
+use super::{GroupTree, MergeTree, NONE, SceneTree};
 use crate::ClickHit;
 
 /// Candidates that a query answers with, at most.
@@ -52,24 +52,28 @@ const EXPECTED: Expected = Expected {
 /// Added to the normalised cut before its logarithm is taken; part of the fit. Half and half more changed no measured click.
 const CUT_FLOOR: f32 = 1e-3;
 
-/// Leaves that clicks hit.
-#[derive(Clone, Copy, Debug)]
-pub struct TreeQuery<'a> {
-    /// Leaves that are meant.
-    pub inside: &'a [u32],
-    /// Leaves that are not.
-    pub outside: &'a [u32],
-}
-
 /// A group that a query may select.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GroupCandidate {
-    /// Nodes, each with the number of its tree: one, or one per click where no group holds all clicks.
+    /// Nodes, each with the number of its tree. A click chooses one; selections of earlier versions may have several.
     pub nodes: Vec<(usize, u32)>,
     /// Expected IoU with what is meant.
     pub score: f32,
     /// Share of all light that the views see.
     pub area: f32,
+}
+
+impl GroupTree {
+    /// The groups that hold a leaf and are no smaller than a candidate, the smallest first; each with how much higher its parent
+    /// is, relative to the most of them.
+    pub(super) fn large_groups_with(&self, leaf: u32) -> impl Iterator<Item = (u32, f32)> + '_ {
+        let MergeTree { parent, height, .. } = &self.merges;
+        let gap = |node: u32| height[parent[node as usize] as usize] - height[node as usize];
+        let large =
+            move || self.merges.ancestors(leaf).filter(|&node| self.groups[node as usize].area >= MIN_AREA);
+        let widest = large().map(gap).fold(1e-9, f32::max);
+        large().map(move |node| (node, gap(node) / widest))
+    }
 }
 
 impl SceneTree {
@@ -84,31 +88,15 @@ impl SceneTree {
         summed.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(leaf, _)| leaf)
     }
 
-    /// What a query may select, the likeliest first: groups that hold all inside leaves and no outside one. Where no group does,
-    /// each inside leaf's likeliest group without the others, together.
-    pub fn candidates(&self, query: &TreeQuery) -> Vec<GroupCandidate> {
-        let mut found = self.groups_with(query);
-        if found.is_empty() && query.inside.len() > 1 {
-            let one = |leaf: &u32| {
-                let alone = TreeQuery { inside: std::slice::from_ref(leaf), ..*query };
-                self.groups_with(&alone).into_iter().next()
-            };
-            let each: Vec<GroupCandidate> = query.inside.iter().filter_map(one).collect();
-            let mut nodes: Vec<(usize, u32)> = each.iter().flat_map(|c| c.nodes.clone()).collect();
-            nodes.sort_unstable();
-            nodes.dedup();
-            if !nodes.is_empty() {
-                let score = each.iter().map(|c| c.score).sum::<f32>() / each.len() as f32;
-                found.push(GroupCandidate { nodes, score, area: each.iter().map(|c| c.area).sum() });
-            }
-        }
-        apart(found)
+    /// What a click on a leaf may select, the likeliest first.
+    pub fn candidates(&self, leaf: u32) -> Vec<GroupCandidate> {
+        apart(self.groups_with(leaf))
     }
 
     /// As [`SceneTree::candidates`], with those first whose size is near `granularity`: 0 is the smallest group that holds the
-    /// inside leaves, 1 the largest; sizes are compared by their logarithms.
-    pub fn candidates_of_size(&self, query: &TreeQuery, granularity: f32) -> Vec<GroupCandidate> {
-        let mut found = self.groups_with(query);
+    /// leaf, 1 the largest; sizes are compared by their logarithms.
+    pub fn candidates_of_size(&self, leaf: u32, granularity: f32) -> Vec<GroupCandidate> {
+        let mut found = self.groups_with(leaf);
         let sizes = || found.iter().map(|c| c.area.ln());
         let (least, most) = (sizes().fold(f32::MAX, f32::min), sizes().fold(f32::MIN, f32::max));
         let far = |c: &GroupCandidate| {
@@ -120,28 +108,14 @@ impl SceneTree {
         apart(found)
     }
 
-    /// Groups that hold all inside leaves and no outside one, the likeliest first.
-    fn groups_with(&self, query: &TreeQuery) -> Vec<GroupCandidate> {
-        let TreeQuery { inside, outside } = *query;
+    /// Groups that hold a leaf, the likeliest first.
+    pub(super) fn groups_with(&self, leaf: u32) -> Vec<GroupCandidate> {
         let mut found = Vec::new();
         for (number, tree) in self.trees.iter().enumerate() {
-            let merges = &tree.merges;
-            let Some(meet) = inside.iter().copied().reduce(|a, b| merges.meet(a, b)) else { continue };
-            let chain: Vec<u32> = merges.ancestors(meet).collect();
-            let refused = outside.iter().map(|&leaf| merges.meet(meet, leaf)).min();
-            let gap = |node: u32| {
-                merges.height[merges.parent[node as usize] as usize] - merges.height[node as usize]
-            };
-            let large = |node: &u32| tree.groups[*node as usize].area >= MIN_AREA;
-            let widest = chain.iter().filter(|n| large(n)).map(|&n| gap(n)).fold(1e-9, f32::max);
-            for &node in chain.iter().filter(|n| large(n)).take_while(|n| refused.is_none_or(|r| **n < r)) {
-                let average = TREES[number].1 == Growth::Average;
-                let score = expected(tree, node, gap(node) / widest, average);
-                found.push(GroupCandidate {
-                    nodes: vec![(number, node)],
-                    score,
-                    area: tree.groups[node as usize].area,
-                });
+            for (node, gap) in tree.large_groups_with(leaf) {
+                let score = expected(tree, node, gap, TREES[number].1 == Growth::Average);
+                let area = tree.groups[node as usize].area;
+                found.push(GroupCandidate { nodes: vec![(number, node)], score, area });
             }
         }
         found.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.nodes.cmp(&b.nodes)));

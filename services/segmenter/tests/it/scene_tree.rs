@@ -4,7 +4,9 @@ use crate::common::{TestRandom, TestWorld, engine, options, posed};
 use glam::Vec3;
 use segwild_raster::{NO_SPLAT, Rasterizer};
 use segwild_scene::Image;
-use segwild_segmenter::scene_tree::{NONE, PartMap, SceneParts, SceneTree, TreeBuilder, TreeQuery};
+use segwild_segmenter::scene_tree::{
+    LeafClick, NONE, PartMap, SceneParts, SceneTree, ShownLeaves, TreeBuilder,
+};
 use segwild_segmenter::{PosedView, hit};
 
 const GREY: [f32; 3] = [0.5, 0.5, 0.5];
@@ -116,45 +118,72 @@ fn a_boundary_that_some_photos_lack_stays_and_one_that_few_have_goes() {
 }
 
 #[test]
-fn clicks_choose_the_block_and_a_negative_click_keeps_its_part_out() {
+fn a_click_chooses_the_block() {
     let (world, views) = (wall_scene(), cameras(1.0));
     let tree = tree(&world, &views, 0);
-    let leaf = |at| leaf(&tree, &world, &views[4], at);
-    let ask = |inside: &[u32], outside: &[u32]| tree.candidates(&TreeQuery { inside, outside });
-    let found = ask(&[leaf(BLOCK)], &[]);
+    let found = tree.candidates(leaf(&tree, &world, &views[4], BLOCK));
     assert!((1..=2).contains(&found.len()));
     assert!(found.windows(2).all(|pair| pair[0].score >= pair[1].score));
     assert!(
         found.iter().any(|c| world.share(1, &tree.labels(c)) > 0.9 && world.share(0, &tree.labels(c)) < 0.1)
     );
-    for candidate in ask(&[leaf(WALL)], &[leaf(PRINT), leaf(BLOCK)]) {
-        let labels = tree.labels(&candidate);
-        assert!(!hit_by(&tree, &labels, leaf(PRINT)) && !hit_by(&tree, &labels, leaf(BLOCK)));
-        assert!(hit_by(&tree, &labels, leaf(WALL)));
+}
+
+/// A click on a point of the world, in the middle photo.
+fn click(tree: &SceneTree, world: &TestWorld, view: &PosedView, at: Vec3, inside: bool) -> LeafClick {
+    let pixel = view.camera.pixel(view.pose.to_camera(at));
+    let options = options();
+    let shown = ShownLeaves::of(tree, &world.splats, &options, view, pixel).unwrap();
+    LeafClick { leaf: leaf(tree, world, view, at), inside, shown }
+}
+
+#[test]
+fn a_further_click_adds_or_takes_out_its_part_and_leaves_the_rest() {
+    let (world, views) = (wall_scene(), cameras(1.0));
+    let tree = tree(&world, &views, 0);
+    let click = |at: Vec3, inside: bool| click(&tree, &world, &views[4], at, inside);
+    let all = vec![true; tree.trees[0].merges.leaves];
+    // Too much: the block goes, the wall with its print stays.
+    let without = tree.corrected(all.clone(), &[click(BLOCK, false)]);
+    let labels = tree.splats_of(&without.selected);
+    assert!(world.share(1, &labels) < 0.2, "{}", world.share(1, &labels));
+    assert!(world.share(0, &labels) > 0.9 && world.share(2, &labels) > 0.9);
+    // Too little: the print comes to the wall.
+    let lacking = tree.corrected(all, &[click(PRINT, false)]);
+    let added = tree.corrected(lacking.selected.clone(), &[click(PRINT, true)]);
+    let [before, after] = [&lacking, &added].map(|c| world.share(2, &tree.splats_of(&c.selected)));
+    assert!(before < 0.5 && after > before + 0.3, "{before}, then {after}");
+    assert!(added.decided.iter().any(|decided| *decided) && !added.decided.iter().all(|decided| *decided));
+}
+
+#[test]
+fn no_click_contradicts_another_one() {
+    let (world, views) = (wall_scene(), cameras(1.0));
+    let tree = tree(&world, &views, 0);
+    let click = |at: Vec3, inside: bool| click(&tree, &world, &views[4], at, inside);
+    let clicks = [click(BLOCK, true), click(WALL, false), click(PRINT, true)];
+    let nothing = vec![false; tree.trees[0].merges.leaves];
+    for order in [[0, 1, 2], [2, 1, 0], [1, 0, 2]] {
+        let clicks = order.map(|at| clicks[at].clone());
+        let corrected = tree.corrected(nothing.clone(), &clicks);
+        for click in &clicks {
+            assert_eq!(corrected.selected[click.leaf as usize], click.inside, "{order:?}");
+        }
     }
-    // No group holds two things without what lies between them.
-    let both = ask(&[leaf(BLOCK), leaf(PRINT)], &[leaf(WALL)]);
-    let labels = tree.labels(both.first().expect("a union"));
-    assert!(hit_by(&tree, &labels, leaf(BLOCK)) && hit_by(&tree, &labels, leaf(PRINT)));
-    assert!(!hit_by(&tree, &labels, leaf(WALL)));
 }
 
 #[test]
 fn granularity_goes_from_the_print_to_the_wall_and_beyond() {
     let (world, views) = (wall_scene(), cameras(1.0));
     let tree = tree(&world, &views, 0);
-    let inside = [leaf(&tree, &world, &views[4], PRINT)];
+    let leaf = leaf(&tree, &world, &views[4], PRINT);
     let of_size = |g: f32| {
-        let found = tree.candidates_of_size(&TreeQuery { inside: &inside, outside: &[] }, g);
+        let found = tree.candidates_of_size(leaf, g);
         found.first().expect("a group holds the click").area
     };
     let areas: Vec<f32> = [0.0, 0.25, 0.5, 0.75, 1.0].map(of_size).to_vec();
     assert!(areas.is_sorted(), "{areas:?}");
     assert!(areas[0] < 0.5 * areas[4], "{areas:?}");
-}
-
-fn hit_by(tree: &SceneTree, labels: &[bool], leaf: u32) -> bool {
-    tree.leaf.iter().zip(labels).any(|(l, label)| *l == leaf && *label)
 }
 
 #[test]

@@ -9,7 +9,7 @@ use crate::messages::{
 use segwild_flow::lock;
 use segwild_pipeline::{BlendedAppearance, ShownParts, ShownScene};
 use segwild_scene::{Camera, Image, Mask, NEAR, PointPrompt, Prompts, View};
-use segwild_segmenter::scene_tree::{NONE, TreeQuery};
+use segwild_segmenter::scene_tree::NONE;
 use std::sync::Arc;
 
 /// Quality of JPEGs that are sent to the page.
@@ -50,10 +50,9 @@ impl Studio {
         let leaf =
             front.at(share[0], share[1]).map(|splat| tree.leaf[splat as usize]).filter(|leaf| *leaf != NONE);
         let Some(leaf) = leaf else { return Ok(None) };
-        let query = TreeQuery { inside: &[leaf], outside: &[] };
         let found = match granularity {
-            Some(granularity) => tree.candidates_of_size(&query, granularity),
-            None => tree.candidates(&query),
+            Some(granularity) => tree.candidates_of_size(leaf, granularity),
+            None => tree.candidates(leaf),
         };
         let Some(first) = found.first() else { return Ok(None) };
         let labels = tree.labels(first);
