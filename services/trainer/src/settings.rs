@@ -77,7 +77,8 @@ segwild_scene::settings! {
         robust: bool = true,
         /// Largest share of a photo that may be left out as transient.
         robust_share: f32 = 0.35 => 0.0..=0.6,
-        /// Refine camera poses that are off by a pixel and more, by aligning photos to the splats between steps.
+        /// Refine camera poses that are off: by the points that the photo saw, or where these are too few and photos are of one
+        /// light, by aligning the photo to the splats.
         refine_poses: bool = true,
         /// Short trainings on small photos that find initial transients before the training itself: each leaves out a
         /// part of the photos and marks the pixels in them that contradict it. 0 or 2 and more.

@@ -23,6 +23,7 @@
 
 mod builtin;
 mod contours;
+mod family;
 mod geometry;
 pub mod linkage;
 mod model_file;
@@ -34,6 +35,8 @@ mod provider;
 mod providers;
 mod registry;
 mod sam;
+mod sam_file_error;
+mod sam_interface;
 mod server;
 mod service;
 mod service_address;
@@ -45,6 +48,7 @@ pub use builtin::{
     Builtin, EdgeDetector, PromptInterpretation, PromptQuery, PromptStep, RegionCache, Regions, TraitWeights,
 };
 pub use contours::ContourTree;
+pub use family::Family;
 pub use model_file::{ModelFileError, OnnxError, WireError};
 pub use network_file::NetworkFile;
 pub use networks::{EdgeNetwork, SkyNetwork, TransientNetwork};
@@ -53,8 +57,9 @@ pub use provider::{
     Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, TransientDetector, VisionError, Work,
 };
 pub use providers::{BUILT_IN, Providers};
-pub use registry::{Family, ModelFile, models_in};
-pub use sam::{Sam, SamFileError};
+pub use registry::{ModelFile, models_in};
+pub use sam::Sam;
+pub use sam_file_error::SamFileError;
 pub use server::{VisionServer, VisionServiceOptions, serve_vision};
 pub use service::{RemoteVision, ServiceTerms};
 pub use service_address::{AddressError, ServiceAddress};

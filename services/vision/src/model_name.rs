@@ -3,7 +3,7 @@
 //! `STEM_encoder.onnx` and `STEM_decoder.onnx` are a pair, with `_`, `.` or `-` in the middle. A word for the numbers' precision may
 //! follow (`_int8`, `_fp16`, `.quant`). Other exports have names of their own, which are known as well.
 
-use crate::registry::is_known;
+use crate::family::is_known;
 
 /// The part of a pair.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,7 +1,7 @@
 //! The traits of 2D models. Images are sRGB in [0, 1], three planes; masks have the image's size.
 
 use crate::model_file::ModelFileError;
-use crate::sam::SamFileError;
+use crate::sam_file_error::SamFileError;
 use crate::service_error::ServiceError;
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask};
 use std::path::PathBuf;

@@ -1,9 +1,9 @@
 //! The providers that settings name.
 
+use crate::family::{DEEPLAB, EDGES, SKY};
 use crate::geometry::{ColourSky, GeometrySky, JointSky};
 use crate::network_file::NetworkFile;
 use crate::onnx::Runtime;
-use crate::registry::{DEEPLAB, EDGES, SKY};
 use crate::service::{RemoteVision, ServiceTerms};
 use crate::service_address::ServiceAddress;
 use crate::service_error::{ServiceError, TokenFileError};

@@ -1,10 +1,11 @@
 //! What a folder of network files holds, and what becomes of each: `segwild doctor` lists it, and a run takes its pair from it.
 
 use crate::VisionError;
+use crate::family::{Family, SINGLE, family_of, is_known, search_rank};
 use crate::model_file::{GraphSignature, signature};
 use crate::model_name::{PartName, SamPart, is_bare, part_name, usual_name};
-use crate::registry::{Family, SINGLE, family_of, is_known, search_rank};
-use crate::sam::{DecoderInterface, EncoderInterface, SamFileError, refuse_concept, refuse_unnamed};
+use crate::sam_file_error::SamFileError;
+use crate::sam_interface::{DecoderInterface, EncoderInterface, refuse_concept, refuse_unnamed};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};

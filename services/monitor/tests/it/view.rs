@@ -21,7 +21,10 @@ fn everything_that_waits_says_why() {
         why("features").as_deref(),
         Some("waits for masks 1/4 (6.0 s left), geometry 500/1000 (6.2 s left)")
     );
-    assert_eq!(why("objects").as_deref(), Some("waits for geometry 500/1000 (6.2 s left)"));
+    assert_eq!(
+        why("objects").as_deref(),
+        Some("waits for masks 1/4 (6.0 s left), geometry 500/1000 (6.2 s left)")
+    );
     assert_eq!(why("report").as_deref(), Some("waits for evaluate, objects"));
     let why = |i: usize| run.actors[i].workers[0].why.clone().expect("a reason");
     assert_eq!(why(0), "waits for space in mailbox `coordinator`: 64 of 64 messages, 3.0 MiB of 64 MiB");

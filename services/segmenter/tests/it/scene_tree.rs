@@ -149,9 +149,9 @@ fn a_further_click_adds_or_takes_out_its_part_and_leaves_the_rest() {
     assert!(world.share(1, &labels) < 0.2, "{}", world.share(1, &labels));
     assert!(world.share(0, &labels) > 0.9 && world.share(2, &labels) > 0.9);
     // Too little: the print comes to the wall.
-    let lacking = tree.corrected(all, &[click(PRINT, false)]);
-    let added = tree.corrected(lacking.selected.clone(), &[click(PRINT, true)]);
-    let [before, after] = [&lacking, &added].map(|c| world.share(2, &tree.splats_of(&c.selected)));
+    let missing = tree.corrected(all, &[click(PRINT, false)]);
+    let added = tree.corrected(missing.selected.clone(), &[click(PRINT, true)]);
+    let [before, after] = [&missing, &added].map(|c| world.share(2, &tree.splats_of(&c.selected)));
     assert!(before < 0.5 && after > before + 0.3, "{before}, then {after}");
     assert!(added.decided.iter().any(|decided| *decided) && !added.decided.iter().all(|decided| *decided));
 }

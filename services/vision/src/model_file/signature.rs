@@ -1,7 +1,7 @@
 //! The inputs and outputs that a network file declares. Weights are skipped, so that a file of gigabytes takes milliseconds.
 
+use super::tensor_spec::TensorSpec;
 use super::wire::{WireError, WireValue, fields};
-use crate::onnx::TensorSpec;
 use ort::value::TensorElementType;
 use std::collections::HashSet;
 use std::fs::File;

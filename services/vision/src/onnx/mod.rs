@@ -6,7 +6,7 @@ mod network;
 mod runtime;
 
 pub(crate) use half::floats;
-pub(crate) use model::{NetworkDevice, NetworkModel, NetworkOutput, Options, TensorSpec};
+pub(crate) use model::{NetworkDevice, NetworkModel, NetworkOutput, Options};
 pub(crate) use network::Network;
 pub(crate) use runtime::MEMORY_MIB;
 pub use runtime::Runtime;

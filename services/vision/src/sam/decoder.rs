@@ -1,23 +1,18 @@
 //! The prompted decoder: points, boxes and earlier logits on an embedding to masks with scores.
 
 use super::encoder::{Encoded, Encoder};
-use super::error::SamFileError;
-use super::interface::{DecoderInterface, MOST_SIDE, SamKind};
 use super::logits::Logits;
-use super::prompt::Labelled;
-use super::refused;
+use super::prompt::{CORNERS, Labelled};
+use super::refused::refused;
 use crate::VisionError;
-use crate::onnx::{NetworkModel, NetworkOutput, TensorSpec, floats};
+use crate::model_file::TensorSpec;
+use crate::onnx::{NetworkModel, NetworkOutput, floats};
+use crate::sam_file_error::SamFileError;
+use crate::sam_interface::{DecoderInterface, MOST_SIDE, SamKind};
 use ort::session::SessionInputValue;
 use ort::value::{Tensor, TensorElementType, TensorRef};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// The decoder's label of a point outside the object.
-pub(super) const OUTSIDE: f32 = 0.0;
-/// The decoder's label of a point inside the object.
-pub(super) const INSIDE: f32 = 1.0;
-/// The decoder's labels of the first and second corner of a box.
-pub(super) const CORNERS: [f32; 2] = [2.0, 3.0];
 /// The decoder's label of a padding point.
 const PADDING: f32 = -1.0;
 

@@ -1,11 +1,11 @@
 //! The image encoder: a photo to its embedding.
 
-use super::frame::{PhotoFit, Range, SIDE, prepare};
-use super::interface::{EncoderInterface, FeatureRole, InputLayout};
-use super::refused;
+use super::frame::{PhotoFit, Range, prepare};
+use super::refused::refused;
 use crate::VisionError;
 use crate::builtin::Weighed;
 use crate::onnx::{NetworkModel, NetworkOutput, floats};
+use crate::sam_interface::{EncoderInterface, FeatureRole, InputLayout, SIDE};
 use ort::session::SessionInputValue;
 use ort::value::{Tensor, TensorElementType};
 use segwild_scene::{Embedding, Image};

@@ -6,8 +6,6 @@
 
 use segwild_scene::Image;
 
-/// Side of the square when the file leaves it open, in pixels.
-pub(super) const SIDE: usize = 1024;
 /// Mean of each channel over SAM's training photos, in [0, 255], and the standard deviation.
 pub(super) const MEAN: [f32; 3] = [123.675, 116.28, 103.53];
 /// See [`MEAN`].
@@ -108,6 +106,7 @@ pub(super) fn prepare(photo: &Image, fit: &PhotoFit, [width, height]: [usize; 2]
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sam_interface::SIDE;
 
     #[test]
     fn a_photo_is_scaled_rounded_and_padded_as_published() {

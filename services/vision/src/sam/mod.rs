@@ -8,12 +8,11 @@
 mod choice;
 mod decoder;
 mod encoder;
-mod error;
 mod frame;
-mod interface;
 mod logits;
 mod prompt;
 mod refine;
+mod refused;
 
 use crate::builtin::{Memory, PREPARED, Weighed, check, content};
 use crate::network_file::NetworkFile;
@@ -21,13 +20,11 @@ use crate::onnx::{NetworkDevice, NetworkModel, Options, Runtime};
 use crate::survey::ModelPair;
 use crate::{Embedder, MaskProposer, PromptSegmenter, Prompted, VisionError, VisionSettings, Work};
 pub(crate) use choice::find_pair;
-use decoder::{INSIDE, PromptDecoder, Query};
+use decoder::{PromptDecoder, Query};
 use encoder::{Encoded, Encoder};
-pub use error::SamFileError;
 use frame::PhotoFit;
-pub(crate) use interface::{DecoderInterface, EncoderInterface, refuse_concept, refuse_unnamed};
 use logits::{Logits, Upscale, choose, stability};
-use prompt::{Labelled, PromptGroup};
+use prompt::{INSIDE, Labelled, PromptGroup};
 pub(crate) use refine::{bounds, middle};
 use segwild_files::lock;
 use segwild_scene::{Embedding, Image, Mask, Prompts, ScoredMask, sigmoid};
@@ -196,11 +193,6 @@ impl Sam {
             None => Err(VisionError::Model("the decoder gave no mask".into())),
         }
     }
-}
-
-/// The error about a file that was read and cannot be used.
-fn refused(model: &NetworkModel, reason: SamFileError) -> VisionError {
-    VisionError::Sam { file: model.name().into(), reason: Box::new(reason) }
 }
 
 /// The range of a decoder's masks that are candidates. Of four, the first is for precise prompts (several points), and the

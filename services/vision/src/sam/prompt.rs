@@ -1,8 +1,14 @@
 //! Turns a person's prompts into queries to a SAM decoder.
 
-use super::decoder::{CORNERS, INSIDE, OUTSIDE};
 use crate::VisionError;
 use segwild_scene::{Image, Prompts};
+
+/// The decoder's label of a point outside the object.
+pub(super) const OUTSIDE: f32 = 0.0;
+/// The decoder's label of a point inside the object.
+pub(super) const INSIDE: f32 = 1.0;
+/// The decoder's labels of the first and second corner of a box.
+pub(super) const CORNERS: [f32; 2] = [2.0, 3.0];
 
 /// A point with its label, in the photo's pixels.
 pub(super) type Labelled = ([f32; 2], f32);

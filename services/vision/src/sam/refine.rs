@@ -1,8 +1,9 @@
 //! Snaps a rough mask to the photo's own boundaries: the decoder gets it as an earlier answer, with its box and a click in its
 //! middle, and of the decoder's masks the one of highest IoU with the rough mask is taken.
 
-use super::decoder::{CORNERS, INSIDE, Query};
+use super::decoder::Query;
 use super::logits::Logits;
+use super::prompt::{CORNERS, INSIDE};
 use super::{Encoded, Sam, check};
 use crate::VisionError;
 use segwild_scene::{Image, Mask, ScoredMask, logit};

@@ -8,12 +8,15 @@
 //! | SAM 2 by samexporter | `image_embed`, `high_res_feats_0`, `high_res_feats_1` | as SAM, and these three |
 //! | SAM 2, SAM 3's tracker by Transformers | `image_embeddings.0`, `.1`, `.2` | `input_points`, `input_labels`, `input_boxes` |
 
-use super::error::SamFileError;
-use crate::onnx::TensorSpec;
+use crate::model_file::TensorSpec;
+use crate::sam_file_error::SamFileError;
 use ort::value::TensorElementType;
 
+/// Side of the square when the file leaves it open, in pixels.
+pub(crate) const SIDE: usize = 1024;
+
 /// Longest side of a decoder's masks.
-pub(super) const MOST_SIDE: usize = 4096;
+pub(crate) const MOST_SIDE: usize = 4096;
 /// Most queries, and points per query, that a file may fix.
 const MOST_AT_ONCE: usize = 1024;
 /// Side of the photo, and of the embedding, of SAM 3.
@@ -45,7 +48,7 @@ impl SamKind {
 
 /// What an encoder may answer beside the embedding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum FeatureRole {
+pub(crate) enum FeatureRole {
     /// Features of a quarter of the photo's side.
     Fine,
     /// Features of an eighth.
@@ -155,7 +158,7 @@ pub(crate) fn refuse_concept(inputs: &[TensorSpec], outputs: &[TensorSpec]) -> R
 
 /// How an encoder wants its photo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum InputLayout {
+pub(crate) enum InputLayout {
     /// `[1, 3, h, w]`, standardised and padded.
     Planes,
     /// `[1, 3, h, w]`, standardised, stretched over the whole square (SAM 2).
@@ -172,12 +175,12 @@ pub(super) enum InputLayout {
 #[derive(Clone, Debug)]
 pub(crate) struct EncoderInterface {
     pub kind: SamKind,
-    pub(super) layout: InputLayout,
-    pub(super) input: TensorSpec,
+    pub(crate) layout: InputLayout,
+    pub(crate) input: TensorSpec,
     /// Height and width that the file asks for.
-    pub(super) size: [Option<usize>; 2],
-    pub(super) output: TensorSpec,
-    pub(super) features: Vec<(FeatureRole, TensorSpec)>,
+    pub(crate) size: [Option<usize>; 2],
+    pub(crate) output: TensorSpec,
+    pub(crate) features: Vec<(FeatureRole, TensorSpec)>,
 }
 
 impl EncoderInterface {
@@ -234,8 +237,8 @@ impl EncoderInterface {
     }
 
     /// Side of a photo where the file leaves it open.
-    pub(super) fn open_side(&self) -> usize {
-        if self.kind == SamKind::Tracker { SAM3_SIDES[0] } else { super::frame::SIDE }
+    pub(crate) fn open_side(&self) -> usize {
+        if self.kind == SamKind::Tracker { SAM3_SIDES[0] } else { SIDE }
     }
 }
 
@@ -243,21 +246,21 @@ impl EncoderInterface {
 #[derive(Clone, Debug)]
 pub(crate) struct DecoderInterface {
     pub kind: SamKind,
-    pub(super) embedding: TensorSpec,
-    pub(super) features: Vec<(FeatureRole, TensorSpec)>,
+    pub(crate) embedding: TensorSpec,
+    pub(crate) features: Vec<(FeatureRole, TensorSpec)>,
     /// `[Q, N, 2]`, or `[1, Q, N, 2]`.
-    pub(super) coords: TensorSpec,
-    pub(super) labels: TensorSpec,
+    pub(crate) coords: TensorSpec,
+    pub(crate) labels: TensorSpec,
     /// `[1, Q, 4]`, where boxes are no points.
-    pub(super) boxes: Option<TensorSpec>,
+    pub(crate) boxes: Option<TensorSpec>,
     /// Logits of an earlier answer, and whether there are any.
-    pub(super) previous: Option<(TensorSpec, TensorSpec)>,
+    pub(crate) previous: Option<(TensorSpec, TensorSpec)>,
     /// Height and width of the photo.
-    pub(super) size: Option<TensorSpec>,
-    pub(super) masks: String,
+    pub(crate) size: Option<TensorSpec>,
+    pub(crate) masks: String,
     /// Whether the masks have the photo's size, because the file gives no small ones.
-    pub(super) full_size: bool,
-    pub(super) scores: String,
+    pub(crate) full_size: bool,
+    pub(crate) scores: String,
 }
 
 impl DecoderInterface {
@@ -372,28 +375,28 @@ impl DecoderInterface {
     }
 
     /// Dimensions before the queries': 1 in EfficientSAM's and in those of Transformers.
-    pub(super) fn more(&self) -> usize {
+    pub(crate) fn more(&self) -> usize {
         usize::from(self.coords.name == BATCHED || self.coords.name == TRANSFORMERS)
     }
 
     /// Queries that the file fixes.
-    pub(super) fn queries(&self) -> Option<usize> {
+    pub(crate) fn queries(&self) -> Option<usize> {
         self.coords.shape[self.more()]
     }
 
     /// Points per query that the file fixes.
-    pub(super) fn points(&self) -> Option<usize> {
+    pub(crate) fn points(&self) -> Option<usize> {
         self.coords.shape[self.more() + 1]
     }
 
     /// Whether it takes boxes: SAM by Transformers knows clicks alone.
-    pub(super) fn takes_boxes(&self) -> bool {
+    pub(crate) fn takes_boxes(&self) -> bool {
         self.boxes.is_some() || self.kind != SamKind::Sam || self.more() == 0
     }
 
     /// Whether the caller adds a padding point to prompts without a box. SAM was trained with it, and its exports leave it to the
     /// caller; those of the others add it themselves.
-    pub(super) fn wants_padding(&self) -> bool {
+    pub(crate) fn wants_padding(&self) -> bool {
         self.kind == SamKind::Sam && self.more() == 0
     }
 }
