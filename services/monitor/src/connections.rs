@@ -53,7 +53,7 @@ pub const HEAD_BYTES: usize = 16 << 10;
 /// Requests of one connection by HTTP/2 that are answered at a time.
 const MOST_STREAMS: u32 = 64;
 /// How every connection by HTTP/2 starts, and none by HTTP/1.
-const HTTP2_START: &[u8] = b"PRI * HTTP/2.0";
+const HTTP2_START: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 /// Time between two checks whether more of a connection's start is there.
 const START_CHECK: Duration = Duration::from_millis(10);
 /// Time between two signs of life on a connection by HTTP/2: one without an answer is closed.
@@ -166,10 +166,12 @@ async fn by_http2(stream: TcpStream, routes: Router, received: Arc<AtomicBool>) 
     let service = service_fn(move |request: Request<Incoming>| {
         let (answer, received) = (routes.call(request), received.clone());
         async move {
+            // A request that is being answered is no silence.
+            let answered_before = received.swap(true, Ordering::Relaxed);
             let answer = answer.await;
             let refused = |code| [StatusCode::UNAUTHORIZED, StatusCode::FORBIDDEN].contains(&code);
-            if answer.as_ref().is_ok_and(|response| !refused(response.status())) {
-                received.store(true, Ordering::Relaxed);
+            if !answered_before && answer.as_ref().is_ok_and(|response| refused(response.status())) {
+                received.store(false, Ordering::Relaxed);
             }
             answer
         }

@@ -312,9 +312,11 @@ export class App {
       own = { photo, points: [], boxes: [], granularity: this.level };
       prompts.push(own);
     }
+    // A further prompt corrects the answer that is shown.
+    const corrects = prompts.some(p => p.boxes.length || p.points.some(point => point.inside));
     change(own);
     for (const p of prompts) p.granularity = this.level;
-    this.act({ do: "prompt", prompts });
+    this.act({ do: "prompt", prompts, alternative: corrects ? this.state.draft.alternative : 0 });
   }
 
   /** @param {number} photo @param {number[]} at @param {boolean} inside */
