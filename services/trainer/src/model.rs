@@ -69,7 +69,7 @@ impl Model {
         }
         let views = self.names.len();
         if !self.refined_poses.iter().flatten().all(RefinedPose::is_sound) {
-            return damaged("a refined pose is none");
+            return damaged("a refined pose is no rotation with a finite translation");
         }
         let sound = |b: &Background| (1..=BASES).contains(&b.coefficients.len());
         if self.backgrounds.len() != views

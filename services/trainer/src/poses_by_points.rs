@@ -7,6 +7,8 @@ use segwild_scene::Scene;
 
 /// Deviation up to which a pose is good, as a share of the photo's long side: 1.3 px of 640. Usual reconstructions have less.
 pub(crate) const GOOD: f32 = 0.002;
+/// Deviations of the pose by points that the given one is off by, at least: less is noise of where photos saw points.
+const SIGNIFICANT: f32 = 3.0;
 /// Median residual of the points from which they are no evidence of a pose, likewise.
 const MISFIT: f32 = 0.008;
 
@@ -30,7 +32,7 @@ impl PosesByPoints {
             let of = &scene.views[view];
             match resect(&of.camera, &of.pose, seen) {
                 Some(found) if found.deviation <= GOOD && found.residual <= MISFIT => {
-                    poses.refined[view] = (found.motion > GOOD)
+                    poses.refined[view] = (found.motion > GOOD.max(SIGNIFICANT * found.deviation))
                         .then(|| RefinedPose::new(&found.pose, found.motion, RefinedBy::Points));
                 }
                 _ => poses.open[view] = true,

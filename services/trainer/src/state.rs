@@ -81,7 +81,9 @@ impl TrainState {
             return Err(TrainError::Checkpoint("it is damaged: its lists of photos differ in length".into()));
         }
         if !self.refined.iter().flatten().all(RefinedPose::is_sound) {
-            return Err(TrainError::Checkpoint("it is damaged: a refined pose is none".into()));
+            return Err(TrainError::Checkpoint(
+                "it is damaged: a refined pose is no rotation with a finite translation".into(),
+            ));
         }
         let size = self.appearance.as_appearance().embedding_size();
         if !appearance_fits(&self.appearance, views)

@@ -1,6 +1,6 @@
 //! Camera poses that are a little off: refined by points, refined by photos, or left as they are.
 
-use crate::wall::{engine, photos, scene, settings};
+use crate::wall::{engine, noise, photos, scene, settings};
 use glam::{Mat3, Vec2, Vec3};
 use segwild_scene::{Observation, Pose, Scene};
 use segwild_trainer::{AppearanceModel, Model, RefinedBy, RefinedPose, TrainSettings, Trainer};
@@ -67,6 +67,24 @@ fn poses_that_do_not_fit_their_points_are_refined_by_them() {
     let model =
         Trainer::new(engine(), &off, photos(&truth, false, |_, _| ()), none).unwrap().snapshot().unwrap();
     assert!(model.refined_poses.iter().all(Option::is_none));
+}
+
+#[test]
+fn points_that_photos_saw_with_noise_move_no_pose_that_is_right() {
+    let mut truth = with_tracks(scene(6));
+    for (p, point) in truth.points.iter_mut().enumerate() {
+        for seen in &mut point.track {
+            let off = |k: usize| 3.0 * (noise(p, 10 + 2 * seen.view as usize + k) - 0.5);
+            seen.pixel = [seen.pixel[0] + off(0), seen.pixel[1] + off(1)];
+        }
+        // Few points: the pose that they give is off by more than a good one may be.
+        if p % 9 != 0 {
+            point.track.clear();
+        }
+    }
+    let model = Trainer::new(engine(), &truth, photos(&truth, false, |_, _| ()), settings(3));
+    let model = model.unwrap().snapshot().unwrap();
+    assert!(model.refined_poses.iter().all(Option::is_none), "{:?}", model.refined_poses);
 }
 
 #[test]
