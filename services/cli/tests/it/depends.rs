@@ -14,7 +14,7 @@ const NOTHING: &[&str] = &[];
 
 /// Every setting of the groups `train`, `masks` and `features`: another value, and the stages that depend on it where
 /// the others have their defaults.
-const TABLE: [(&str, &str, &[&str]); 54] = [
+const TABLE: [(&str, &str, &[&str]); 55] = [
     ("steps", "61", GEOMETRY),
     // The run says how many steps: nothing is left to the scene.
     ("effort", "2", &[]),
@@ -25,6 +25,7 @@ const TABLE: [(&str, &str, &[&str]); 54] = [
     ("robust", "false", GEOMETRY),
     ("robust_share", "0.1", GEOMETRY),
     ("cross_checks", "3", GEOMETRY),
+    ("refine_poses", "false", GEOMETRY),
     ("stereo", "0.5", GEOMETRY),
     ("seed", "2", GEOMETRY),
     ("lr_mean", "0.4", GEOMETRY),

@@ -56,7 +56,10 @@ impl<'a> PhotoBoundaries<'a> {
             return Ok(PhotoBoundaries::Model(segmenter));
         }
         let cache = folder.cache()?;
-        let keys = recorded(&Ledger::open_read_only(folder.ledger())?.views(MASKS)?, scene);
+        let ledger = Ledger::open_read_only(folder.ledger())?;
+        // While masks are made there is no tree: one from some of them would not be the run's.
+        let done = ledger.stages()?.iter().any(|stage| stage.name == MASKS && stage.state == State::Done);
+        let keys = if done { recorded(&ledger.views(MASKS)?, scene) } else { MaskKeys::new() };
         let read = move |_: usize, key: &Key| -> Result<Option<MaskSet>, RunError> {
             Ok(cache.get_typed::<MaskSet>(key, MASKS)?)
         };

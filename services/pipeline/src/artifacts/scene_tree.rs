@@ -73,7 +73,8 @@ impl TreeSource<'_> {
         let mut builder = TreeBuilder::new(splats, self.model.options());
         let mut seen = false;
         let views = self.photos.scene().views.iter().enumerate();
-        let views: Vec<_> = views.filter(|(_, view)| !view.test).collect();
+        let views: Vec<_> =
+            views.filter(|(index, _)| self.model.trained_on.contains(&(*index as u32))).collect();
         for (index, view) in TreeBuilder::order(views.len()).into_iter().map(|at| views[at]) {
             if stopping() {
                 return Err(RunError::Interrupted);

@@ -33,7 +33,9 @@ pub struct RunContext<'a> {
     pub settings: &'a Settings,
     pub options: &'a RunOptions,
     pub ledger: &'a Ledger,
-    /// Its poses are those of the trained scene, once it is there.
+    /// With its poses as given: what a training starts from.
+    pub given: Arc<Scene>,
+    /// The same with the poses of the trained scene, once it is there.
     pub scene: Arc<Scene>,
     /// Its photos, at the size of the training.
     pub photos: Arc<PhotoStore>,
@@ -282,9 +284,9 @@ impl RunContext<'_> {
 
     /// Writes the trained scene into the run folder, also for other programs.
     pub fn take_model(&mut self, model: Arc<Model>) -> Result<(), RunError> {
-        let posed = model.posed(&self.scene);
-        if !Arc::ptr_eq(&posed, &self.scene) {
-            cameras::write(self.folder, &posed)?;
+        let posed = model.posed(&self.given);
+        cameras::write(self.folder, &posed)?;
+        if !Arc::ptr_eq(&posed, &self.given) {
             self.photos = Arc::new(self.photos.posed(posed.clone()));
             self.scene = posed;
         }

@@ -131,6 +131,7 @@ fn context<'a>(
         settings,
         options,
         ledger: &prepared.ledger,
+        given: scene.clone(),
         scene: scene.clone(),
         photos: photos.clone(),
         engine: prepared.engine.clone(),

@@ -35,7 +35,7 @@ pub struct SnapshotRenders {
 }
 
 impl SnapshotRenders {
-    /// Renders a snapshot of a scene at a long side of so many pixels.
+    /// Renders a snapshot of a scene, given with its poses before the training, at a long side of so many pixels.
     pub fn new(model: Arc<Model>, engine: Arc<dyn Engine>, scene: &Arc<Scene>, size: u32) -> SnapshotRenders {
         let scene = model.posed(scene);
         SnapshotRenders { model, engine, scene, size }
@@ -60,6 +60,8 @@ impl Snapshot for SnapshotRenders {
 
 /// The inputs of one run's field.
 pub struct Inputs {
+    /// The scene with its poses as given.
+    pub given: Arc<Scene>,
     /// Reads artefacts from the cache.
     pub recompute: Recompute,
     /// Their keys.
@@ -130,7 +132,7 @@ impl Inputs {
         let model = self.recompute.cache.get_typed::<Model>(&self.keys.snapshot, MODEL)?;
         let model = model.filter(|model| model.check().is_ok());
         let gone = || ActorFailure::retry("the snapshot that they were proposed from has gone, too");
-        let (model, scene) = (Arc::new(model.ok_or_else(gone)?), &self.recompute.scene);
+        let (model, scene) = (Arc::new(model.ok_or_else(gone)?), &self.given);
         let snapshot = SnapshotRenders::new(model, self.engine.clone(), scene, self.photos.long_side());
         let sky = self.skies.read(view)?;
         let render = match self.maker.settings.mask_source {

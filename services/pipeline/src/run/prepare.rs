@@ -101,7 +101,10 @@ pub fn prepare(
     }
     let mut intake = Intake { posed, ..intake_of(&path, &scene) };
     folder.write_intake(&intake)?;
-    cameras::write(folder, &scene)?;
+    // A trained scene has written those that it was trained with.
+    if !folder.path().join("model.bin").is_file() {
+        cameras::write(folder, &scene)?;
+    }
     events.info(
         Some("ingest"),
         format!(

@@ -109,7 +109,7 @@ impl ActorStage for GeometryStage {
             run.ledger.record_view(TRANSIENTS, name, key, &ViewOutcome::cached())?;
         }
         let order = TrainOrder {
-            scene: run.scene.clone(),
+            scene: run.given.clone(),
             photos: photos(run),
             settings: run.settings.train.clone(),
             lpips: run.lpips.clone(),

@@ -56,7 +56,7 @@ impl ActorStage for MasksStage {
         let (size, keys, skies) = (run.settings.scene.size, run.keys.masks.clone(), run.skies.clone());
         let (cache, mask_source, out) =
             (run.cache.clone(), run.settings.masks.mask_source, actors.masks.clone());
-        let renders = Arc::new(SnapshotRenders::new(snapshot, run.engine.clone(), &run.scene, size));
+        let renders = Arc::new(SnapshotRenders::new(snapshot, run.engine.clone(), &run.given, size));
         actors.system.source("intrinsic renders", ActorOptions::default(), move |context| {
             for &view in &views {
                 context.check()?;

@@ -64,6 +64,7 @@ impl ActorStage for VisibilityStage {
         let Some(model) = run.made.model.clone() else { return Ok(()) };
         *self = VisibilityStage::Comparing;
         let inputs = Arc::new(Inputs {
+            given: run.given.clone(),
             recompute: run.recompute(),
             keys: run.keys.clone(),
             photos: run.photos.clone(),
