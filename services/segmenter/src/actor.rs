@@ -154,15 +154,14 @@ impl SegmentActor {
         };
         let TreeAnswer { group, alternatives } = match (&self.tree, &task.group) {
             (Some(tree), Some(meant)) => {
-                let outlined = tree_answer::GroupAnswer::of(
-                    &blank,
-                    tree,
-                    &CorrectedLeaves::uncorrected(tree.leaves_of(meant)),
-                    meant.score,
-                    &task.prompts,
-                    &photos,
-                    &*self.segmenter,
-                )?;
+                let photos_of = tree_answer::OutlinedPhotos {
+                    clicks: &task.prompts,
+                    photos: &photos,
+                    segmenter: &*self.segmenter,
+                    by_own: &|_, _| false,
+                };
+                let leaves = CorrectedLeaves::uncorrected(tree.leaves_of(meant));
+                let outlined = tree_answer::GroupAnswer::of(&blank, tree, &leaves, meant.score, &photos_of)?;
                 let group = outlined.ok_or(SegmentError::NothingSelected { reason: NOWHERE })?;
                 TreeAnswer { group: Some(group), alternatives: Vec::new() }
             }

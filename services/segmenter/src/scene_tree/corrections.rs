@@ -34,8 +34,8 @@ pub struct LeafClick {
     pub leaf: u32,
     /// Whether it is meant.
     pub inside: bool,
-    /// What its photo shows.
-    pub shown: ShownLeaves,
+    /// What its photo shows; `None` where it is the only click.
+    pub shown: Option<ShownLeaves>,
 }
 
 /// The leaves that a photo shows, and the pixel of a click.
@@ -83,10 +83,14 @@ impl ShownLeaves {
 
     /// How deep the click lies within some leaves: 0 outside of them, 1 where they are deepest.
     fn depth(&self, part: &[bool]) -> f32 {
-        let depths = self.mask(part).not().distances();
-        let most = depths.iter().copied().fold(0.0, f32::max);
+        let distances = self.mask(part).not().distances();
+        // Beyond the frame is not shown; without a bound the depth in what fills the frame would be infinite.
+        let to_frame = |x: u32, y: u32| (x + 1).min(self.width - x).min(y + 1).min(self.height - y) as f32;
+        let depth = |x: u32, y: u32| distances[(y * self.width + x) as usize].min(to_frame(x, y));
+        let pixels = (0..self.height).flat_map(|y| (0..self.width).map(move |x| (x, y)));
+        let most = pixels.map(|(x, y)| depth(x, y)).fold(0.0, f32::max);
         let (x, y) = self.clicked;
-        if most > 0.0 { depths[(y * self.width + x) as usize] / most } else { 0.0 }
+        if most > 0.0 { depth(x, y) / most } else { 0.0 }
     }
 }
 
@@ -109,10 +113,10 @@ impl CorrectedLeaves {
 impl SceneTree {
     /// The group that a click hits and that its photo shows most like a mask; `None` where none shows there.
     pub fn most_alike(&self, click: &LeafClick, mask: &Mask) -> Option<GroupCandidate> {
-        let ShownLeaves { width, height, .. } = click.shown;
-        let mask = mask.resized(width, height);
+        let shown = click.shown.as_ref()?;
+        let mask = mask.resized(shown.width, shown.height);
         let alike = |group: GroupCandidate| {
-            let iou = click.shown.mask(&self.leaves_of(&group)).iou(&mask);
+            let iou = shown.mask(&self.leaves_of(&group)).iou(&mask);
             (iou > 0.0).then_some((iou, group))
         };
         let groups = self.groups_with(click.leaf).into_iter().filter_map(alike);
@@ -138,7 +142,7 @@ impl SceneTree {
     fn part_at(&self, selected: &[bool], click: &LeafClick, clicks: &[LeafClick]) -> Vec<bool> {
         let leaves = selected.len();
         let is_wrong = |leaf: usize| selected[leaf] != click.inside;
-        let (mut best, mut smallest) = (None::<(f32, Vec<bool>)>, None::<(f32, Vec<bool>)>);
+        let (mut best, mut smallest) = (None::<(f32, usize, u32)>, None::<(f32, usize, u32)>);
         for (number, tree) in self.trees.iter().enumerate() {
             let merges = &tree.merges;
             let area = |node: u32| tree.groups[node as usize].area;
@@ -147,34 +151,34 @@ impl SceneTree {
             let wrong: Vec<f32> =
                 (0..leaves).map(|leaf| if is_wrong(leaf) { area(leaf as u32) } else { 0.0 }).collect();
             let wrong = merges.sums(&wrong);
-            let part = |node: u32| {
-                let mut part = merges.parts_of(node);
-                part.truncate(leaves);
-                part
-            };
             let others = clicks.iter().filter(|other| other.inside != click.inside);
             let against = others.map(|other| merges.meet(click.leaf, other.leaf)).min();
             let groups = tree.large_groups_with(click.leaf);
             for (node, gap) in groups.take_while(|(node, _)| against.is_none_or(|against| *node < against)) {
-                if smallest.as_ref().is_none_or(|(least, _)| area(node) < *least) {
-                    smallest = Some((area(node), part(node)));
+                if smallest.is_none_or(|(least, ..)| area(node) < least) {
+                    smallest = Some((area(node), number, node));
                 }
                 let is_part =
                     wrong[node as usize] as f32 >= MIN_WRONG_SHARE * area(node) && area(node) <= most;
                 if !is_wrong(click.leaf as usize) || !is_part {
                     continue;
                 }
-                let candidate = part(node);
+                let candidate = merges.parts_of(node);
                 let within: Vec<bool> = (0..leaves).map(|leaf| candidate[leaf] && is_wrong(leaf)).collect();
                 let average = TREES[number].1 == Growth::Average;
-                let score = expected(tree, node, gap, average) + DEPTH_WEIGHT * click.shown.depth(&within);
-                if best.as_ref().is_none_or(|(most, _)| score > *most) {
-                    best = Some((score, candidate));
+                let score = expected(tree, node, gap, average)
+                    + DEPTH_WEIGHT * click.shown.as_ref().map_or(0.0, |shown| shown.depth(&within));
+                if best.is_none_or(|(most, ..)| score > most) {
+                    best = Some((score, number, node));
                 }
             }
         }
         match best.or(smallest) {
-            Some((_, part)) => part,
+            Some((_, number, node)) => {
+                let mut part = self.trees[number].merges.parts_of(node);
+                part.truncate(leaves);
+                part
+            }
             None => (0..leaves).map(|leaf| leaf == click.leaf as usize).collect(),
         }
     }

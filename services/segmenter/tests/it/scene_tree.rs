@@ -134,7 +134,7 @@ fn click(tree: &SceneTree, world: &TestWorld, view: &PosedView, at: Vec3, inside
     let pixel = view.camera.pixel(view.pose.to_camera(at));
     let options = options();
     let shown = ShownLeaves::of(tree, &world.splats, &options, view, pixel).unwrap();
-    LeafClick { leaf: leaf(tree, world, view, at), inside, shown }
+    LeafClick { leaf: leaf(tree, world, view, at), inside, shown: Some(shown) }
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Networks of the SAM family behind the provider traits: SAM, MobileSAM, EfficientSAM, SAM 2 and SAM 3's tracker as ONNX
 //! exports, an image encoder and a prompted decoder each.
 //!
-//! [`interface`] recognises the files, [`frame`] is the pre-processing, [`encoder`] and [`decoder`] run the networks, [`logits`] is
+//! [`crate::sam_interface`] recognises the files, [`frame`] is the pre-processing, [`encoder`] and [`decoder`] run the networks, [`logits`] is
 //! the post-processing, [`prompt`] turns clicks and boxes into queries. A photo is encoded once and its embedding kept in memory,
 //! so that every further prompt costs a run of the decoder alone.
 
