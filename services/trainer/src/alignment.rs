@@ -84,7 +84,7 @@ impl Difference {
     ) -> Option<Difference> {
         let (w, h, n) = (photo.width, photo.height, photo.pixels());
         let image = photo.image();
-        let inner = |i: usize| i % w > 0 && i % w + 1 < w && i / w > 0 && i / w + 1 < h;
+        let inner = |i: usize| (1..w - 1).contains(&(i % w)) && (1..h - 1).contains(&(i / w));
         let counted: Vec<(usize, f64)> = (0..n)
             .filter(|&i| inner(i) && photo.counts(i) && within(i))
             .filter_map(|i| Some((i, rendered.at(i)?)))

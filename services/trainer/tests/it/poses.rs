@@ -10,7 +10,7 @@ fn with_tracks(mut scene: Scene) -> Scene {
     for (p, point) in scene.points.iter_mut().enumerate() {
         for (v, view) in scene.views.iter().enumerate() {
             let pixel = view.camera.pixel(view.pose.to_camera(point.position));
-            let wrong = if (p + v) % 5 == 0 { Vec2::new(20.0, -9.0) } else { Vec2::ZERO };
+            let wrong = if (p + v).is_multiple_of(5) { Vec2::new(20.0, -9.0) } else { Vec2::ZERO };
             if view.camera.contains(pixel) {
                 point.track.push(Observation { view: v as u32, pixel: (pixel + wrong).into() });
             }
@@ -22,7 +22,7 @@ fn with_tracks(mut scene: Scene) -> Scene {
 /// Turns and moves the camera of a view: three pixels of 72, and two.
 fn shake(scene: &mut Scene, view: usize) {
     let pose = &mut scene.views[view].pose;
-    let sign = if view % 2 == 0 { 1.0 } else { -1.0 };
+    let sign = if view.is_multiple_of(2) { 1.0 } else { -1.0 };
     pose.rotation = Mat3::from_rotation_y(sign * 0.04) * Mat3::from_rotation_x(0.02) * pose.rotation;
     pose.translation =
         Mat3::from_rotation_y(sign * 0.04) * pose.translation + Vec3::new(0.0, sign * 0.03, 0.0);
@@ -78,7 +78,7 @@ fn points_that_photos_saw_with_noise_move_no_pose_that_is_right() {
             seen.pixel = [seen.pixel[0] + off(0), seen.pixel[1] + off(1)];
         }
         // Few points: the pose that they give is off by more than a good one may be.
-        if p % 9 != 0 {
+        if !p.is_multiple_of(9) {
             point.track.clear();
         }
     }
