@@ -9,6 +9,9 @@ use segwild_scene::Scene;
 pub(crate) const GOOD: f32 = 0.002;
 /// Deviations of the pose by points that the given one is off by, at least: less is noise of where photos saw points.
 const SIGNIFICANT: f32 = 3.0;
+/// A given pose fits its points up to so many times the residual of the pose by points: false matches among few points move that
+/// one, and hardly better it.
+const MISFITS: f32 = 2.0;
 /// Median residual of the points from which they are no evidence of a pose, likewise.
 const MISFIT: f32 = 0.008;
 
@@ -32,7 +35,9 @@ impl PosesByPoints {
             let of = &scene.views[view];
             match resect(&of.camera, &of.pose, seen) {
                 Some(found) if found.deviation <= GOOD && found.residual <= MISFIT => {
-                    poses.refined[view] = (found.motion > GOOD.max(SIGNIFICANT * found.deviation))
+                    let fits = found.given_residual <= GOOD.max(MISFITS * found.residual);
+                    let off = found.motion > GOOD.max(SIGNIFICANT * found.deviation);
+                    poses.refined[view] = (off && !fits)
                         .then(|| RefinedPose::new(&found.pose, found.motion, RefinedBy::Points));
                 }
                 _ => poses.open[view] = true,

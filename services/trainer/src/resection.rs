@@ -26,6 +26,8 @@ pub(crate) struct Resection {
     pub pose: Pose,
     /// Median distance of the points from where the photo saw them, as a share of its long side.
     pub residual: f32,
+    /// The same of the given pose.
+    pub given_residual: f32,
     /// Root mean square over the photo of the standard deviation of where the pose has a pixel, as a share of the long side.
     pub deviation: f32,
     /// Root mean square of how far the given pose has the points from where this one has them, likewise.
@@ -59,13 +61,14 @@ fn projected(camera: &Camera, pose: &Pose, seen: &[SeenPoint]) -> Vec<(DVec2, Ve
 pub(crate) fn resect(camera: &Camera, given: &Pose, seen: &[SeenPoint]) -> Option<Resection> {
     let long = f64::from(camera.width.max(camera.height));
     let mut pose = *given;
-    let mut found = None;
+    let (mut found, mut given_residual) = (None, None);
     for _ in 0..STEPS {
         let points = projected(camera, &pose, seen);
         if points.len() < MIN_POINTS {
             return None;
         }
         let residual = upper_median(points.iter().map(|(off, ..)| off.length()).collect())?;
+        given_residual.get_or_insert(residual);
         let deviation = (DEVIATION_OF_MEDIAN * residual).max(MIN_DEVIATION * long);
         let limit = TUKEY * deviation;
         let mut equations = NormalEquations::default();
@@ -108,6 +111,7 @@ pub(crate) fn resect(camera: &Camera, given: &Pose, seen: &[SeenPoint]) -> Optio
     Some(Resection {
         pose,
         residual: (residual / long) as f32,
+        given_residual: (given_residual? / long) as f32,
         deviation: (deviation * mean.max(0.0).sqrt() / long) as f32,
         motion: ((square / f64::from(count.max(1))).sqrt() / long) as f32,
     })
