@@ -29,6 +29,18 @@ impl Mask {
             .collect()
     }
 
+    /// How deep each pixel lies in the mask, in pixels, row-major: distance to the nearest pixel outside of it, or to the first one
+    /// beyond the frame, whichever is nearer; 0 outside.
+    pub fn depths(&self) -> Vec<f32> {
+        let (width, height) = (self.width(), self.height());
+        let mut depths = self.not().distances();
+        for (i, depth) in depths.iter_mut().enumerate() {
+            let (x, y) = (i as u32 % width, i as u32 / width);
+            *depth = depth.min((x + 1).min(width - x).min(y + 1).min(height - y) as f32);
+        }
+        depths
+    }
+
     /// The pixels at most `radius` pixels away from the mask.
     pub fn dilated(&self, radius: f32) -> Mask {
         let reach = f64::from(radius) * f64::from(radius);

@@ -158,7 +158,7 @@ impl SegmentActor {
                     clicks: &task.prompts,
                     photos: &photos,
                     segmenter: &*self.segmenter,
-                    by_own: &|_, _| false,
+                    answered: None,
                 };
                 let leaves = CorrectedLeaves::uncorrected(tree.leaves_of(meant));
                 let outlined = tree_answer::GroupAnswer::of(&blank, tree, &leaves, meant.score, &photos_of)?;

@@ -60,8 +60,8 @@ pub(crate) struct OutlinedPhotos<'a> {
     pub photos: &'a [Image],
     /// Draws the outlines.
     pub segmenter: &'a dyn PromptSegmenter,
-    /// By number and prompts, whether the photo's own mask is preferred, if it agrees with the group.
-    pub by_own: &'a dyn Fn(usize, &Prompts) -> bool,
+    /// The one whose own mask answered the first click, by number: that mask is kept where it agrees with the group.
+    pub answered: Option<usize>,
 }
 
 /// Whether all prompts are clicks.
@@ -75,9 +75,8 @@ fn several_inside(prompts: &Prompts) -> bool {
 }
 
 /// The tree's answer to clicks, with their photos: the first positive click chooses a group, and the others correct it. The
-/// photo's own mask comes first where all clicks are positive ones of one photo, and where the tree answers one click with most of
-/// the scene; always where the model of the masks finds
-/// whole objects by itself. `request` needs no prompts.
+/// photo's own mask comes first where several clicks are all positive and in one photo, and where the tree answers one click with
+/// most of the scene; always where the model of the masks finds whole objects by itself. `request` needs no prompts.
 pub(crate) fn answer(
     request: &Request,
     tree: &SceneTree,
@@ -141,12 +140,8 @@ pub(crate) fn answer(
     let Some(chosen) = candidates[last.min(settings.alternative as usize)] else {
         return Ok(TreeAnswer { group: None, alternatives });
     };
-    // Photos whose own masks know the outline better than the tree, if both mean the same: masks that were outlined through several
-    // clicks, and the one that answered the first click.
-    let by_own = |at: usize, prompts: &Prompts| {
-        at == prompt && is_scene || prompts.points.iter().filter(|point| point.inside).count() > 1
-    };
-    let outlined = OutlinedPhotos { clicks, photos, segmenter, by_own: &by_own };
+    let answered = is_scene.then_some(prompt);
+    let outlined = OutlinedPhotos { clicks, photos, segmenter, answered };
     let group = GroupAnswer::of(request, tree, &corrected(chosen), chosen.score, &outlined)?;
     Ok(TreeAnswer { group, alternatives })
 }
@@ -205,7 +200,7 @@ impl GroupAnswer {
         expected_iou: f32,
         outlined: &OutlinedPhotos,
     ) -> Result<Option<GroupAnswer>, SegmentError> {
-        let OutlinedPhotos { clicks: prompts, photos, segmenter, by_own } = *outlined;
+        let OutlinedPhotos { clicks: prompts, photos, segmenter, answered } = *outlined;
         let labels = tree.splats_of(&chosen.selected);
         request.wanted()?;
         if let Some(steps) = request.steps {
@@ -234,8 +229,9 @@ impl GroupAnswer {
                 false => None,
             };
             let shown = refined.filter(|refined| !refined.mask.is_empty());
+            // A mask that was drawn through several clicks knows the outline better, too, if it means the same.
             masks.push(match shown {
-                Some(shown) if by_own(at, &prompt.1) => {
+                Some(shown) if answered == Some(at) || several_inside(&prompt.1) => {
                     let own = own_mask(request, prompt, photo, segmenter)?;
                     Some(if own.mask.iou(&shown.mask) >= MIN_AGREEMENT { own } else { shown })
                 }

@@ -72,7 +72,6 @@ pub(crate) fn resect(camera: &Camera, given: &Pose, seen: &[SeenPoint]) -> Optio
         let deviation = (DEVIATION_OF_MEDIAN * residual).max(MIN_DEVIATION * long);
         let limit = TUKEY * deviation;
         let mut equations = NormalEquations::default();
-        let (mut sums, mut weights) = (0.0, 0.0);
         for &(off, lies, depth) in &points {
             let inside = (1.0 - (off.length() / limit).powi(2)).max(0.0);
             let [across, down] = flow(camera, lies, depth);
@@ -80,15 +79,14 @@ pub(crate) fn resect(camera: &Camera, given: &Pose, seen: &[SeenPoint]) -> Optio
             equations.add(inside * inside, &down, off.y);
         }
         let twist = equations.twist()?;
-        for &(.., lies, depth) in &points {
-            let step = flow(camera, lies, depth).map(|flow| (0..6).map(|k| flow[k] * twist[k]).sum::<f64>());
-            sums += step[0] * step[0] + step[1] * step[1];
-            weights += 1.0;
-        }
+        let moves = |&(_, lies, depth): &(DVec2, Vec2, f64)| {
+            flow(camera, lies, depth).map(|flow| (0..6).map(|k| flow[k] * twist[k]).sum::<f64>().powi(2))
+        };
+        let squares: f64 = points.iter().flat_map(moves).sum();
         let depth = upper_median(points.iter().map(|&(.., depth)| depth).collect())?;
         found = Some((equations, deviation, residual, depth));
         pose = moved(&pose, &twist);
-        if f64::sqrt(sums / weights) < SETTLED * long {
+        if (squares / points.len() as f64).sqrt() < SETTLED * long {
             break;
         }
     }

@@ -49,11 +49,9 @@ pub fn random_box(mask: &Mask, random: &mut Random) -> BoxPrompt {
 /// of the diagonal. Outside of the frame nothing is wrong. `None` where the masks are the same. This is the next click of the
 /// measure NoC (number of clicks) of interactive segmentation.
 pub fn worst_error(truth: &Mask, mask: &Mask) -> Option<(f32, PointPrompt)> {
-    let (width, height) = (truth.width(), truth.height());
     let deepest = |wrong: Mask| {
-        let depths = wrong.not().distances();
-        let to_frame = |x: u32, y: u32| (x + 1).min(width - x).min(y + 1).min(height - y) as f32;
-        let depth = |(x, y): (u32, u32)| depths[(y * width + x) as usize].min(to_frame(x, y));
+        let depths = wrong.depths();
+        let depth = |(x, y): (u32, u32)| depths[(y * truth.width() + x) as usize];
         wrong
             .pixels()
             .map(|at| (depth(at), at))

@@ -153,3 +153,13 @@ fn specks_go_and_holes_close() {
     assert_eq!(Mask::full(W, H).without_specks(10), Mask::full(W, H));
     assert!(Mask::empty(W, H).without_specks(10_000).is_empty(), "an empty mask is not a hole");
 }
+
+#[test]
+fn depths_end_at_the_outline_and_at_the_frame() {
+    let strip = Mask::from_fn(9, 5, |x, _| x >= 4);
+    let depths = strip.depths();
+    let at = |x: usize, y: usize| depths[y * 9 + x];
+    assert_eq!([at(3, 2), at(4, 2), at(6, 2), at(6, 0), at(8, 2)], [0.0, 1.0, 3.0, 1.0, 1.0]);
+    assert_eq!(Mask::full(9, 5).depths()[2 * 9 + 4], 3.0, "nothing is outside but the frame");
+    assert!(Mask::empty(9, 5).depths().iter().all(|depth| *depth == 0.0));
+}

@@ -83,14 +83,10 @@ impl ShownLeaves {
 
     /// How deep the click lies within some leaves: 0 outside of them, 1 where they are deepest.
     fn depth(&self, part: &[bool]) -> f32 {
-        let distances = self.mask(part).not().distances();
-        // Beyond the frame is not shown; without a bound the depth in what fills the frame would be infinite.
-        let to_frame = |x: u32, y: u32| (x + 1).min(self.width - x).min(y + 1).min(self.height - y) as f32;
-        let depth = |x: u32, y: u32| distances[(y * self.width + x) as usize].min(to_frame(x, y));
-        let pixels = (0..self.height).flat_map(|y| (0..self.width).map(move |x| (x, y)));
-        let most = pixels.map(|(x, y)| depth(x, y)).fold(0.0, f32::max);
+        let depths = self.mask(part).depths();
+        let most = depths.iter().copied().fold(0.0, f32::max);
         let (x, y) = self.clicked;
-        if most > 0.0 { depth(x, y) / most } else { 0.0 }
+        if most > 0.0 { depths[(y * self.width + x) as usize] / most } else { 0.0 }
     }
 }
 
@@ -142,15 +138,18 @@ impl SceneTree {
     fn part_at(&self, selected: &[bool], click: &LeafClick, clicks: &[LeafClick]) -> Vec<bool> {
         let leaves = selected.len();
         let is_wrong = |leaf: usize| selected[leaf] != click.inside;
+        // Leaves have the same light in all trees.
+        let light_of = |takes_part: &dyn Fn(usize) -> bool| -> Vec<f32> {
+            let light = self.trees.first().map_or(&[][..], |tree| &tree.groups[..leaves]);
+            light.iter().enumerate().map(|(i, leaf)| if takes_part(i) { leaf.area } else { 0.0 }).collect()
+        };
+        let most = MAX_PART * light_of(&|leaf| selected[leaf]).iter().sum::<f32>();
+        let wrong_light = light_of(&is_wrong);
         let (mut best, mut smallest) = (None::<(f32, usize, u32)>, None::<(f32, usize, u32)>);
         for (number, tree) in self.trees.iter().enumerate() {
             let merges = &tree.merges;
             let area = |node: u32| tree.groups[node as usize].area;
-            let most = MAX_PART
-                * (0..leaves).filter(|&leaf| selected[leaf]).map(|leaf| area(leaf as u32)).sum::<f32>();
-            let wrong: Vec<f32> =
-                (0..leaves).map(|leaf| if is_wrong(leaf) { area(leaf as u32) } else { 0.0 }).collect();
-            let wrong = merges.sums(&wrong);
+            let wrong = merges.sums(&wrong_light);
             let others = clicks.iter().filter(|other| other.inside != click.inside);
             let against = others.map(|other| merges.meet(click.leaf, other.leaf)).min();
             let groups = tree.large_groups_with(click.leaf);

@@ -1,11 +1,11 @@
 //! The scene tree from the outlines of automatic masks (method, section 13).
 
-use crate::common::{TestRandom, TestWorld, engine, options, posed};
+use crate::common::{TestRandom, TestWorld, engine, leaf, options, posed};
 use glam::Vec3;
 use segwild_raster::NO_SPLAT;
 use segwild_scene::{Image, Mask, MaskSet, ScoredMask};
+use segwild_segmenter::PosedView;
 use segwild_segmenter::scene_tree::{NONE, SceneTree, TreeBuilder, mask_outlines};
-use segwild_segmenter::{PosedView, hit};
 
 const GREY: [f32; 3] = [0.5, 0.5, 0.5];
 /// Points of the two blocks.
@@ -57,13 +57,6 @@ fn grown(world: &TestWorld, views: &[PosedView], masked: usize) -> SceneTree {
         builder.add(seen, &outlines);
     }
     builder.grow()
-}
-
-/// The leaf under a point in the middle view.
-fn leaf(tree: &SceneTree, world: &TestWorld, view: &PosedView, at: Vec3) -> u32 {
-    let pixel = view.camera.pixel(view.pose.to_camera(at));
-    let hit = hit(&engine(), &world.splats, &options(), &view.camera, &view.pose, pixel, 1).unwrap();
-    tree.leaf_of(&hit).expect("a leaf")
 }
 
 /// IoU of things with the most alike group that holds a leaf, over the splats that are in the tree.

@@ -1,13 +1,13 @@
 //! The scene tree on scenes of which every boundary is known (method, section 13).
 
-use crate::common::{TestRandom, TestWorld, engine, options, posed};
+use crate::common::{TestRandom, TestWorld, engine, leaf, options, posed};
 use glam::Vec3;
 use segwild_raster::{NO_SPLAT, Rasterizer};
 use segwild_scene::Image;
+use segwild_segmenter::PosedView;
 use segwild_segmenter::scene_tree::{
     LeafClick, NONE, PartMap, SceneParts, SceneTree, ShownLeaves, TreeBuilder,
 };
-use segwild_segmenter::{PosedView, hit};
 
 const GREY: [f32; 3] = [0.5, 0.5, 0.5];
 
@@ -52,13 +52,6 @@ fn tree(world: &TestWorld, views: &[PosedView], missing: usize) -> SceneTree {
         builder.add(seen, &boundaries);
     }
     builder.grow()
-}
-
-/// The leaf under a splat's centre in the middle view.
-fn leaf(tree: &SceneTree, world: &TestWorld, view: &PosedView, at: Vec3) -> u32 {
-    let pixel = view.camera.pixel(view.pose.to_camera(at));
-    let hit = hit(&engine(), &world.splats, &options(), &view.camera, &view.pose, pixel, 1).unwrap();
-    tree.leaf_of(&hit).expect("a leaf")
 }
 
 /// IoU of a thing with the most alike group that holds a leaf, over the splats that are in the tree.

@@ -77,13 +77,10 @@ pub(crate) fn bounds(mask: &Mask) -> [[f32; 2]; 2] {
 
 /// The centre of the pixel farthest from everything outside the mask and from the frame; the first of equals.
 pub(crate) fn middle(mask: &Mask) -> [f32; 2] {
-    let (w, h) = (mask.width() as usize, mask.height() as usize);
-    let depths = mask.not().distances();
+    let depths = mask.depths();
     let mut best = (f32::NEG_INFINITY, [0.0; 2]);
     for (x, y) in mask.pixels() {
-        let (x, y) = (x as usize, y as usize);
-        let frame = [x, y, w - 1 - x, h - 1 - y].into_iter().min().unwrap_or(0) as f32 + 1.0;
-        let depth = depths[y * w + x].min(frame);
+        let depth = depths[(y * mask.width() + x) as usize];
         if depth > best.0 {
             best = (depth, [x as f32 + 0.5, y as f32 + 0.5]);
         }

@@ -4,7 +4,8 @@ use glam::{Quat, Vec3};
 use segwild_objective::Engine;
 use segwild_raster::{CpuEngine, ProjectOptions};
 use segwild_scene::{Camera, Pose, Splats};
-use segwild_segmenter::{PosedView, PromptedView, Request, SegmentSettings, SplatFeatures};
+use segwild_segmenter::scene_tree::SceneTree;
+use segwild_segmenter::{PosedView, PromptedView, Request, SegmentSettings, SplatFeatures, hit};
 
 /// Numbers in [0, 1) from a seed.
 pub struct TestRandom(pub u64);
@@ -155,4 +156,11 @@ pub fn request<'a>(
         steps: None,
         settings,
     }
+}
+
+/// The leaf under a point of the world in a view.
+pub fn leaf(tree: &SceneTree, world: &TestWorld, view: &PosedView, at: Vec3) -> u32 {
+    let pixel = view.camera.pixel(view.pose.to_camera(at));
+    let hit = hit(&engine(), &world.splats, &options(), &view.camera, &view.pose, pixel, 1).unwrap();
+    tree.leaf_of(&hit).expect("a leaf")
 }
