@@ -1,4 +1,5 @@
-//! What the stages of a run share: its inputs, its keys, what was made so far, and how results are recorded.
+//! What the stages of a run share, by who may change it: what is fixed before the first stage, what passes from thread to
+//! thread, what the stages have made, and what is recorded of it.
 
 use super::options::RunOptions;
 use super::products::Products;
@@ -27,37 +28,24 @@ use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 
-/// What the stages of a run share.
-pub struct RunContext<'a> {
+/// What was opened and decided before the first stage. No stage changes it.
+pub struct RunSetup<'a> {
     pub folder: &'a RunFolder,
     pub settings: &'a Settings,
     pub options: &'a RunOptions,
     pub ledger: &'a Ledger,
-    /// With its poses as given: what a training starts from.
+    pub cache: Cache,
+    /// The scene with its poses as given: what a training starts from.
     pub given: Arc<Scene>,
-    /// The same with the poses of the trained scene, once it is there.
-    pub scene: Arc<Scene>,
-    /// Its photos, at the size of the training.
-    pub photos: Arc<PhotoStore>,
     pub engine: Arc<dyn Engine>,
-    /// The keys of a run that finds every sky.
-    pub full_keys: Keys,
     /// The keys of this training on other engines: their checkpoints serve where it has none of its own.
     pub elsewhere: Vec<(&'static str, Key)>,
     /// Where the training starts, if not at step 0.
     pub origin: Option<TrainingOrigin>,
-    /// The keys of this run, as far as they are known.
-    pub keys: Keys,
-    /// The same, for the warning about a damaged artefact, which names the artefact.
-    pub names: Arc<Mutex<Keys>>,
-    /// The ledger names the training: when its key changes, it is named again.
-    pub training_named: bool,
-    pub cache: Cache,
     /// The last stage to run; the stages after it are not requested.
     pub last: Stage,
     /// The step of the training to stop after.
     pub steps: u32,
-    pub skies: Arc<Skies>,
     /// What is known of transients before anything is trained.
     pub known: KnownTransients,
     /// The perceptual distance, where its weights are given.
@@ -65,38 +53,117 @@ pub struct RunContext<'a> {
     pub segmenter: Arc<dyn PromptSegmenter>,
     pub embedder: Arc<dyn Embedder>,
     pub maker: Arc<MaskMaker>,
+}
+
+/// What stages and the threads of actors leave for each other while they run.
+pub struct RunSignals {
+    pub skies: Arc<Skies>,
     /// Per view, whether its masks are in the cache; `false` when they were given up.
     pub masks_known: Arc<ViewSlots<bool>>,
-    /// How fast masks are made.
-    pub mask_speed: MaskSpeed,
     /// The trainer misses an input: a stop ended the wait for a photo's sky, or a photo file was removed. What it makes
     /// from then on is not kept.
     pub tainted: Arc<AtomicBool>,
-    /// Progress of the stages that go view by view or step by step.
-    pub bars: BTreeMap<Stage, StageProgress>,
+}
+
+impl RunSignals {
+    /// Nothing is known yet.
+    pub fn new(skies: Skies) -> RunSignals {
+        RunSignals {
+            skies: Arc::new(skies),
+            masks_known: Arc::new(ViewSlots::new("masks")),
+            tainted: Arc::default(),
+        }
+    }
+}
+
+/// What the stages of a run share. A stage writes its results to `made`; keys, counts and progress change through
+/// methods alone.
+pub struct RunContext<'a> {
+    pub setup: &'a RunSetup<'a>,
+    pub signals: RunSignals,
+    /// What the stages have made so far.
     pub made: Products,
-    pub tally: Tally,
+    /// How fast masks are made.
+    pub mask_speed: MaskSpeed,
+    /// The scene with the poses as given, and with those of the trained scene once it is there.
+    scene: Arc<Scene>,
+    /// Its photos, at the size of the training.
+    photos: Arc<PhotoStore>,
+    /// The keys of a run that finds every sky.
+    full_keys: Keys,
+    /// The keys of this run, as far as they are known.
+    keys: Keys,
+    /// The same, for the warning about a damaged artefact, which names the artefact.
+    names: Arc<Mutex<Keys>>,
+    /// The ledger names the training: when its key changes, it is named again.
+    training_named: bool,
+    /// Progress of the stages that go view by view or step by step.
+    bars: BTreeMap<Stage, StageProgress>,
+    tally: Tally,
+}
+
+impl<'a> RunContext<'a> {
+    /// A run that has made nothing. `keys` are those of a run that finds every sky. From here on the cache warns of each
+    /// damaged artefact.
+    pub fn new(
+        setup: &'a RunSetup<'a>,
+        photos: Arc<PhotoStore>,
+        keys: &Keys,
+        signals: RunSignals,
+    ) -> RunContext<'a> {
+        let names = Arc::new(Mutex::new(keys.clone()));
+        warn_of_damage(setup, names.clone());
+        RunContext {
+            setup,
+            signals,
+            made: Products::default(),
+            mask_speed: MaskSpeed::default(),
+            scene: setup.given.clone(),
+            photos,
+            full_keys: keys.clone(),
+            keys: keys.clone(),
+            names,
+            training_named: false,
+            bars: BTreeMap::new(),
+            tally: Tally::default(),
+        }
+    }
 }
 
 impl RunContext<'_> {
+    /// The keys of this run, as far as they are known.
+    pub fn keys(&self) -> &Keys {
+        &self.keys
+    }
+
+    /// The scene with the poses as given, and with those of the trained scene once it is there.
+    pub fn scene(&self) -> &Arc<Scene> {
+        &self.scene
+    }
+
+    /// The photos of [`RunContext::scene`], at the size of the training.
+    pub fn photos(&self) -> &Arc<PhotoStore> {
+        &self.photos
+    }
+
     /// Whether a stage was requested.
     pub fn wants(&self, stage: Stage) -> bool {
-        stage <= self.last
+        stage <= self.setup.last
     }
 
     /// Whether the run is to stop.
     pub fn is_stopping(&self) -> bool {
-        self.options.stopper.phase() != Phase::Running
+        self.setup.options.stopper.phase() != Phase::Running
     }
 
     /// The checkpoints of this training.
     pub fn keeper(&self) -> Keeper<'_> {
         Keeper {
-            folder: self.folder,
-            ledger: self.ledger,
-            events: &self.options.events,
+            folder: self.setup.folder,
+            ledger: self.setup.ledger,
+            events: &self.setup.options.events,
             key: &self.keys.training,
-            kept: self.settings.run.keep_checkpoints as usize,
+            kept: self.setup.settings.run.keep_checkpoints as usize,
         }
     }
 
@@ -104,8 +171,8 @@ impl RunContext<'_> {
     pub fn recompute(&self) -> Recompute {
         Recompute {
             scene: self.scene.clone(),
-            cache: self.cache.clone(),
-            events: self.options.events.clone(),
+            cache: self.setup.cache.clone(),
+            events: self.setup.options.events.clone(),
         }
     }
 
@@ -129,15 +196,14 @@ impl RunContext<'_> {
 
     /// Leaves out the photos that cannot be read: there is no sky to wait for.
     pub fn leave_out_unreadable(&mut self) {
+        let events = &self.setup.options.events;
         for view in 0..self.scene.views.len() {
             if let Some(reason) = self.keys.unreadable(view) {
                 let skipped =
                     Skipped { name: self.scene.views[view].name.clone(), reason: reason.to_string() };
-                self.options
-                    .events
-                    .warn(Some("ingest"), format!("photo {} is left out: {reason}", skipped.name));
+                events.warn(Some("ingest"), format!("photo {} is left out: {reason}", skipped.name));
                 self.tally.skipped.push(skipped);
-                self.skies.set(view, false);
+                self.signals.skies.set(view, false);
             }
         }
     }
@@ -146,8 +212,8 @@ impl RunContext<'_> {
     /// Then the skies come first, since the key of the training depends on them. A training from step 0 does not wait
     /// for all skies: it waits for the sky of each photo when it comes to it.
     pub fn something_kept(&self) -> Result<bool, RunError> {
-        let kept =
-            self.cache.contains(&self.full_keys.geometry) || self.cache.contains(&self.full_keys.snapshot);
+        let kept = self.setup.cache.contains(&self.full_keys.geometry)
+            || self.setup.cache.contains(&self.full_keys.snapshot);
         let whole = Keeper { key: &self.full_keys.training, ..self.keeper() };
         if kept || !whole.rows()?.is_empty() {
             return Ok(true);
@@ -156,19 +222,76 @@ impl RunContext<'_> {
             row.outcome.state == State::Failed
                 && self.full_keys.sky.iter().any(|key| key.to_string() == row.key)
         };
-        Ok(self.ledger.views(Stage::Sky.name())?.into_iter().any(given_up))
+        Ok(self.setup.ledger.views(Stage::Sky.name())?.into_iter().any(given_up))
+    }
+
+    /// Sets the key of the field, which depends on the photos that were given up.
+    pub fn name_features(&mut self, key: Key) {
+        self.keys.features = key;
     }
 
     /// Whether it is known of each photo if it has masks.
     pub fn all_masks_known(&self) -> bool {
-        self.views(false).into_iter().all(|view| self.masks_known.get(view).is_some())
+        self.views(false).into_iter().all(|view| self.signals.masks_known.get(view).is_some())
     }
 
-    /// Starts a stage in the ledger under its key, with a progress bar over `total` photos or steps.
+    /// Starts a stage in the ledger under its key, with a progress bar over `total` photos.
     pub fn open(&mut self, stage: Stage, key: &Key, total: usize) -> Result<(), RunError> {
-        let bar = self.options.events.stage(stage.name(), Some(total as u64));
+        self.start_bar(stage, total as u64);
+        Ok(self.setup.ledger.start_stage(stage.name(), key)?)
+    }
+
+    /// Shows progress of a stage over `total` photos or steps.
+    pub fn start_bar(&mut self, stage: Stage, total: u64) {
+        let bar = self.setup.options.events.stage(stage.name(), Some(total));
         self.bars.insert(stage, bar);
-        Ok(self.ledger.start_stage(stage.name(), key)?)
+    }
+
+    /// The progress of a stage, while it is shown.
+    pub fn bar(&mut self, stage: Stage) -> Option<&mut StageProgress> {
+        self.bars.get_mut(&stage)
+    }
+
+    /// Whether the progress of a stage is shown.
+    pub fn has_bar(&self, stage: Stage) -> bool {
+        self.bars.contains_key(&stage)
+    }
+
+    /// Ends the progress of a stage as complete.
+    pub fn finish_bar(&mut self, stage: Stage) {
+        if let Some(bar) = self.bars.remove(&stage) {
+            bar.finish();
+        }
+    }
+
+    /// Ends all progress as it stands.
+    pub fn drop_bars(&mut self) {
+        self.bars.clear();
+    }
+
+    /// Fails a stage, and the run with it, unless one has failed before.
+    pub fn fail(&mut self, stage: Stage, reason: String) {
+        self.tally.fail(stage, ActorFailure::fatal(reason));
+    }
+
+    /// The stage that failed and why, once.
+    pub fn take_failure(&mut self) -> Option<(Stage, ActorFailure)> {
+        self.tally.failed.take()
+    }
+
+    /// Counts a photo as left out, unless it is known. Returns whether it was counted.
+    pub fn leave_out(&mut self, skipped: Skipped) -> bool {
+        self.tally.skip(skipped)
+    }
+
+    /// The photos that were left out, once.
+    pub fn take_skipped(&mut self) -> Vec<Skipped> {
+        std::mem::take(&mut self.tally.skipped)
+    }
+
+    /// Per-photo artefacts that were made, and that were in the cache.
+    pub fn counts(&self) -> [usize; 2] {
+        [self.tally.made, self.tally.cached]
     }
 
     /// Ends a stage that goes photo by photo, after its last one.
@@ -176,13 +299,13 @@ impl RunContext<'_> {
         let Some(bar) = self.bars.remove(&stage) else { return Ok(()) };
         bar.finish();
         self.weigh_failures(stage, self.views(stage == Stage::Sky).len());
-        Ok(self.ledger.finish_stage(stage.name(), key, None)?)
+        Ok(self.setup.ledger.finish_stage(stage.name(), key, None)?)
     }
 
     /// Fails a stage that failed on all of its photos, and warns when it failed on more than half of them.
     pub fn weigh_failures(&mut self, stage: Stage, photos: usize) {
         if let Some(warning) = self.tally.weigh(stage, photos) {
-            self.options.events.warn(Some(stage.listed().name()), warning);
+            self.setup.options.events.warn(Some(stage.listed().name()), warning);
         }
     }
 
@@ -190,10 +313,10 @@ impl RunContext<'_> {
     /// results that it does not name may be removed from the cache.
     pub fn skip_stage(&self, stage: Stage, key: &Key) -> Result<(), RunError> {
         let name = stage.name();
-        self.options.events.tell(Event::StageSkipped { stage: name.into(), key: key.to_string() });
-        if !self.ledger.stage_is_done(name, key)? {
-            self.ledger.start_stage(name, key)?;
-            self.ledger.finish_stage(name, key, None)?;
+        self.setup.options.events.tell(Event::StageSkipped { stage: name.into(), key: key.to_string() });
+        if !self.setup.ledger.stage_is_done(name, key)? {
+            self.setup.ledger.start_stage(name, key)?;
+            self.setup.ledger.finish_stage(name, key, None)?;
         }
         Ok(())
     }
@@ -202,9 +325,9 @@ impl RunContext<'_> {
     pub fn name_training(&mut self) -> Result<(), RunError> {
         self.training_named = true;
         let rows = [(SNAPSHOT, &self.keys.snapshot), (TRAINING, &self.keys.training)];
-        Ok(rows
-            .into_iter()
-            .try_for_each(|(row, key)| self.ledger.record_view(SNAPSHOT, row, key, &ViewOutcome::cached()))?)
+        Ok(rows.into_iter().try_for_each(|(row, key)| {
+            self.setup.ledger.record_view(SNAPSHOT, row, key, &ViewOutcome::cached())
+        })?)
     }
 
     /// Changes the keys to those of a run without this view's sky. The trainer has not used the photo before, so that
@@ -216,7 +339,7 @@ impl RunContext<'_> {
         self.keys = self.full_keys.without_skies(&training, &held_out);
         *lock(&self.names) = self.keys.clone();
         if self.training_named {
-            self.ledger.start_stage(Stage::Geometry.name(), &self.keys.geometry)?;
+            self.setup.ledger.start_stage(Stage::Geometry.name(), &self.keys.geometry)?;
             self.name_training()?;
         }
         Ok(())
@@ -235,7 +358,7 @@ impl RunContext<'_> {
         let name = self.scene.views[view].name.clone();
         if let Some(error) = error {
             self.scene.views[view].intact()?;
-            if self.cache.was_damaged(key) {
+            if self.setup.cache.was_damaged(key) {
                 // It was made once: without it the result would differ from that of the run before.
                 let reason = format!(
                     "photo {name}: what was made of it was damaged in the cache and cannot be made again ({}); \
@@ -251,14 +374,14 @@ impl RunContext<'_> {
             (None, Some(seconds)) => ViewOutcome::done(seconds),
             (None, None) => ViewOutcome::cached(),
         };
-        self.ledger.record_view(stage.name(), &name, key, &outcome)?;
+        self.setup.ledger.record_view(stage.name(), &name, key, &outcome)?;
         let bar = self.bars.get_mut(&stage);
         match (error, seconds) {
             (Some(error), _) => {
                 if let Some(bar) = bar {
                     bar.failed(1);
                 }
-                self.options.events.tell(Event::ViewFailed {
+                self.setup.options.events.tell(Event::ViewFailed {
                     stage: stage.name().into(),
                     view: name.clone(),
                     error: error.error.clone(),
@@ -284,16 +407,35 @@ impl RunContext<'_> {
 
     /// Writes the trained scene into the run folder, also for other programs.
     pub fn take_model(&mut self, model: Arc<Model>) -> Result<(), RunError> {
-        let posed = model.posed(&self.given);
-        cameras::write(self.folder, &posed)?;
-        if !Arc::ptr_eq(&posed, &self.given) {
+        let posed = model.posed(&self.setup.given);
+        cameras::write(self.setup.folder, &posed)?;
+        if !Arc::ptr_eq(&posed, &self.setup.given) {
             self.photos = Arc::new(self.photos.posed(posed.clone()));
             self.scene = posed;
         }
-        self.folder.write_record("model.bin", MODEL, &*model)?;
+        self.setup.folder.write_record("model.bin", MODEL, &*model)?;
         let splats = light::shown(&self.scene, &model, "")?;
-        light::export(&self.scene, &model).write(&self.folder.path().join("scene.ply"), &splats)?;
+        light::export(&self.scene, &model).write(&self.setup.folder.path().join("scene.ply"), &splats)?;
         self.made.model = Some(model);
         Ok(())
     }
+}
+
+/// Makes the cache warn of each damaged artefact, with its kind and photo.
+fn warn_of_damage(setup: &RunSetup<'_>, names: Arc<Mutex<Keys>>) {
+    let (scene, events) = (setup.given.clone(), setup.options.events.clone());
+    setup.cache.on_damage(move |key, reason| {
+        let kind = key.split(':').next().unwrap_or(key);
+        let stage = match kind {
+            "embedding" => Stage::Embed.name(),
+            "visibility" => Stage::Features.name(),
+            "history" | "snapshot" => Stage::Geometry.name(),
+            other => other,
+        };
+        let photo = lock(&names)
+            .view_of(key)
+            .map_or(String::new(), |view| format!(" of photo {}", scene.views[view].name));
+        let message = format!("the cache's {kind} record{photo} was damaged ({reason}): it is made again");
+        events.warn(Some(stage), message);
+    });
 }

@@ -56,7 +56,7 @@ impl<'a> Coordinator<'a> {
     /// When the ledger cannot be read.
     pub fn new(run: RunContext<'a>) -> Result<Coordinator<'a>, RunError> {
         let mut graph = StageGraph::of_a_run();
-        let wanted = graph.wanted(run.last);
+        let wanted = graph.wanted(run.setup.last);
         if wanted.contains(&Stage::Geometry) && run.something_kept()? {
             graph.require(Stage::Geometry, Stage::Sky, Extent::Part);
         }
@@ -79,14 +79,14 @@ impl<'a> Coordinator<'a> {
     ) -> Result<(Report, Result<(), RunError>), RunError> {
         let run = &self.run;
         let system = System::new(SystemOptions {
-            events: run.options.events.clone(),
-            stopper: run.options.stopper.clone(),
-            stuck_after: Duration::from_secs(run.settings.run.stuck_after.max(1).into()),
-            threads: run.settings.run.threads as usize,
+            events: run.setup.options.events.clone(),
+            stopper: run.setup.options.stopper.clone(),
+            stuck_after: Duration::from_secs(run.setup.settings.run.stuck_after.max(1).into()),
+            threads: run.setup.settings.run.threads as usize,
             ..SystemOptions::default()
         })?;
         let limits = Limits { count: 64, bytes: 64 << 20 };
-        let photos_at_once = memory::photos_at_once(run.settings, &run.scene);
+        let photos_at_once = memory::photos_at_once(run.setup.settings, run.scene());
         // Renders wait here: a few ahead keep the actor busy, more would only fill memory.
         let few = Limits { count: 4 * photos_at_once, bytes: 64 << 20 };
         let (out, inbox) = mailbox::<ActorOutcome>(NAME, limits);
@@ -97,13 +97,13 @@ impl<'a> Coordinator<'a> {
         let (training, training_in) = mailbox::<TrainOrder>("trainer", limits);
         let own = out.clone();
         let parts = ActorParts {
-            photos: run.photos.clone(),
-            engine: run.engine.clone(),
-            cache: run.cache.clone(),
+            photos: run.photos().clone(),
+            engine: run.setup.engine.clone(),
+            cache: run.setup.cache.clone(),
             sky: providers.sky.clone(),
-            maker: run.maker.clone(),
-            embedder: run.embedder.clone(),
-            features: run.settings.features.clone(),
+            maker: run.setup.maker.clone(),
+            embedder: run.setup.embedder.clone(),
+            features: run.setup.settings.features.clone(),
             photos_at_once,
         };
         let inboxes = ActorInboxes { masks: masks_in, features: features_in, training: training_in, out };
@@ -114,9 +114,9 @@ impl<'a> Coordinator<'a> {
         let actors = Actors { system: &system, masks, features, training, own };
         let outcome = self.conduct(&actors, &guest, &inbox);
         drop((actors, guest));
-        self.run.bars.clear();
+        self.run.drop_bars();
         if outcome.is_err() {
-            self.run.options.stopper.stop();
+            self.run.setup.options.stopper.stop();
         }
         // An actor that is stopping may still send an outcome, and must not wait for a full mailbox.
         let (report, late) = std::thread::scope(|scope| {
@@ -135,7 +135,7 @@ impl<'a> Coordinator<'a> {
             inbox.close();
             (report, rest.join().unwrap_or_default())
         });
-        let sound = !self.run.tainted.load(Ordering::Acquire) && self.run.intact().is_ok();
+        let sound = !self.run.signals.tainted.load(Ordering::Acquire) && self.run.intact().is_ok();
         // The progress up to a checkpoint is kept with it: a run that continues from there does not report it again.
         for outcome in late.into_iter().filter(|_| sound) {
             self.handle(outcome)?;
@@ -151,7 +151,7 @@ impl<'a> Coordinator<'a> {
         inbox: &Receiver<ActorOutcome>,
     ) -> Result<(), RunError> {
         guest.busy("starts");
-        self.run.made.embedded = vec![false; self.run.scene.views.len()];
+        self.run.made.embedded = vec![false; self.run.scene().views.len()];
         self.run.leave_out_unreadable();
         loop {
             self.start_stages(actors)?;
@@ -165,8 +165,8 @@ impl<'a> Coordinator<'a> {
                 fault::point("coordinator.handle").map_err(|e| failed(e.to_string()))?;
             }
             match received {
-                Ok(_) if self.run.tainted.load(Ordering::Acquire) => {
-                    return match self.run.skies.lost() {
+                Ok(_) if self.run.signals.tainted.load(Ordering::Acquire) => {
+                    return match self.run.signals.skies.lost() {
                         Some(lost) => Err(RunError::of_stage(Stage::Sky.name(), &lost)),
                         None => self.run.intact(),
                     };
@@ -184,10 +184,10 @@ impl<'a> Coordinator<'a> {
                 }
                 Err(_) => {}
             }
-            if let Some((stage, failure)) = self.run.tally.failed.take() {
+            if let Some((stage, failure)) = self.run.take_failure() {
                 let (name, reason) = (stage.name(), failure.to_string());
-                self.run.ledger.fail_stage(name, &node_of(stage).key(&self.run.keys), &reason)?;
-                self.run.options.events.tell(Event::StageFailed { stage: name.into(), error: reason });
+                self.run.setup.ledger.fail_stage(name, &node_of(stage).key(self.run.keys()), &reason)?;
+                self.run.setup.options.events.tell(Event::StageFailed { stage: name.into(), error: reason });
                 return Err(RunError::of_stage(name, &failure));
             }
         }

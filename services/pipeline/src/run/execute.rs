@@ -1,7 +1,7 @@
 //! Executes a planned run: the stages that actors compute, then those that the thread of the run computes.
 
 use super::after::AfterActors;
-use super::context::RunContext;
+use super::context::{RunContext, RunSetup, RunSignals};
 use super::coordinator::Coordinator;
 use super::diagnostics;
 use super::graph::{node_of, stage_of_failure};
@@ -9,26 +9,20 @@ use super::node::StageWork;
 use super::options::RunOptions;
 use super::plan::RunPlan;
 use super::prepare::PreparedRun;
-use super::products::Products;
 use super::skies::Skies;
-use super::speed::MaskSpeed;
 use super::stage::Stage;
 use super::stages::NODES;
-use super::tally::Tally;
-use super::view_slots::ViewSlots;
 use super::wiring::Wiring;
 use crate::artifacts::folder::Intake;
-use crate::artifacts::keys::Keys;
 use crate::artifacts::recompute::Recompute;
 use crate::artifacts::traces::Traces;
 use crate::output::evaluate::HeldOut;
 use crate::transients::TrainFit;
 use crate::{RunError, RunFolder};
-use segwild_flow::{ActorFailure, Cache, Event, Events, Key, Report, lock};
+use segwild_flow::{ActorFailure, Event, Key, Report};
 use segwild_masks::{MaskMaker, sasm};
-use segwild_scene::Scene;
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex};
+use segwild_scene::PhotoStore;
+use std::sync::Arc;
 
 /// What is left of a run whose own data is freed.
 pub struct ExecutedRun<'a> {
@@ -64,7 +58,11 @@ pub fn execute<'a>(
         RunError::Spawn(spawn) if spawn.is_stopping() => RunError::Interrupted,
         other => other,
     };
-    let mut coordinator = Coordinator::new(context(prepared, plan, folder, options))?;
+    let memory = plan.settings.run.photo_memory as usize * (1 << 20);
+    let photos = Arc::new(prepared.photos.store(memory));
+    let setup = setup(prepared, plan, folder, options, &photos);
+    let signals = RunSignals::new(skies(&setup, &photos, prepared, plan));
+    let mut coordinator = Coordinator::new(RunContext::new(&setup, photos, &plan.keys, signals))?;
     let traces = Traces::start(folder, &prepared.pose_spans)?;
     let (mut report, outcome) =
         coordinator.flow(&prepared.providers, &prepared.recorder, wiring).map_err(stopped)?;
@@ -73,7 +71,7 @@ pub fn execute<'a>(
     traces.write(&report)?;
     end_of_actors(&run, &report, outcome.map_err(stopped))?;
     let mut intake = prepared.intake.clone();
-    intake.skipped.append(&mut run.tally.skipped);
+    intake.skipped.extend(run.take_skipped());
     folder.write_intake(&intake)?;
 
     let holds_out = !intake.held_out.is_empty();
@@ -101,62 +99,55 @@ pub fn execute<'a>(
         scores,
         splats: model.map(|model| model.splats.len()),
         paused: run.made.paused,
-        counts: [run.tally.made, run.tally.cached],
-        report_key: node_of(Stage::Report).key(&run.keys),
+        counts: run.counts(),
+        report_key: node_of(Stage::Report).key(run.keys()),
     })
 }
 
-/// What the stages of a run share at its start.
-fn context<'a>(
+/// What the stages of a run work with.
+fn setup<'a>(
     prepared: &'a PreparedRun,
     plan: &'a RunPlan,
     folder: &'a RunFolder,
     options: &'a RunOptions,
-) -> RunContext<'a> {
+    photos: &Arc<PhotoStore>,
+) -> RunSetup<'a> {
     let PreparedRun { scene, providers, .. } = prepared;
-    let RunPlan { settings, cache, keys, .. } = plan;
-    let names = Arc::new(Mutex::new(keys.clone()));
-    warn_of_damage(cache, &names, scene, &options.events);
-    let memory = settings.run.photo_memory as usize * (1 << 20);
-    let photos = Arc::new(prepared.photos.store(memory));
-    let recompute = Recompute { scene: scene.clone(), cache: cache.clone(), events: options.events.clone() };
+    let RunPlan { settings, cache, .. } = plan;
     let maker = MaskMaker {
         photos: photos.clone(),
         proposer: providers.proposer.clone(),
         settings: settings.masks.clone(),
         depths: sasm::SceneDepths::of(scene),
     };
-    RunContext {
+    RunSetup {
         folder,
         settings,
         options,
         ledger: &prepared.ledger,
+        cache: cache.clone(),
         given: scene.clone(),
-        scene: scene.clone(),
-        photos: photos.clone(),
         engine: prepared.engine.clone(),
-        full_keys: keys.clone(),
         elsewhere: plan.elsewhere.clone(),
         origin: plan.origin.clone(),
-        keys: keys.clone(),
-        names,
-        training_named: false,
-        cache: cache.clone(),
         last: plan.last,
         steps: plan.steps,
-        skies: Arc::new(Skies::new(recompute, photos, keys.sky.clone(), providers.sky.clone())),
         known: plan.known.clone(),
         lpips: prepared.digests.lpips.as_ref().map(|file| file.lpips.clone()),
         segmenter: providers.segmenter.clone(),
         embedder: providers.embedder.clone(),
         maker: Arc::new(maker),
-        masks_known: Arc::new(ViewSlots::new("masks")),
-        mask_speed: MaskSpeed::default(),
-        tainted: Arc::default(),
-        bars: BTreeMap::new(),
-        made: Products::default(),
-        tally: Tally::default(),
     }
+}
+
+/// The skies of a run, of which none is known yet.
+fn skies(setup: &RunSetup<'_>, photos: &Arc<PhotoStore>, prepared: &PreparedRun, plan: &RunPlan) -> Skies {
+    let recompute = Recompute {
+        scene: setup.given.clone(),
+        cache: setup.cache.clone(),
+        events: setup.options.events.clone(),
+    };
+    Skies::new(recompute, photos.clone(), plan.keys.sky.clone(), prepared.providers.sky.clone())
 }
 
 /// Ends the run in the ledger where its actors failed or were stopped.
@@ -167,47 +158,29 @@ fn end_of_actors(
 ) -> Result<(), RunError> {
     // An actor that gave up has stopped the others: that is not a stop by the user.
     let failed = |(actor, failure): (&str, ActorFailure)| (stage_of_failure(actor), failure);
-    let gave_up = run.skies.lost().map(|lost| (Stage::Sky, lost)).or_else(|| report.failure().map(failed));
+    let gave_up =
+        run.signals.skies.lost().map(|lost| (Stage::Sky, lost)).or_else(|| report.failure().map(failed));
     match (outcome, gave_up) {
         (Ok(()) | Err(RunError::Interrupted), Some((stage, failure))) => {
             let (name, reason) = (stage.name(), failure.to_string());
-            run.ledger.fail_stage(name, &node_of(stage).key(&run.keys), &reason)?;
-            run.ledger.leave_stages()?;
-            run.options.events.tell(Event::StageFailed { stage: name.into(), error: reason });
+            run.setup.ledger.fail_stage(name, &node_of(stage).key(run.keys()), &reason)?;
+            run.setup.ledger.leave_stages()?;
+            run.setup.options.events.tell(Event::StageFailed { stage: name.into(), error: reason });
             return Err(RunError::of_stage(name, &failure));
         }
         (Err(RunError::Interrupted), None) => {
-            run.ledger.leave_stages()?;
+            run.setup.ledger.leave_stages()?;
             return Err(RunError::Interrupted);
         }
         (Err(error), _) => return Err(error),
         (Ok(()), None) => {}
     }
     if run.is_stopping() {
-        run.ledger.leave_stages()?;
+        run.setup.ledger.leave_stages()?;
         return Err(RunError::Interrupted);
     }
     if run.made.paused.is_some() {
-        run.ledger.leave_stages()?;
+        run.setup.ledger.leave_stages()?;
     }
     Ok(())
-}
-
-/// Makes the cache warn of each damaged artefact, with its kind and photo.
-fn warn_of_damage(cache: &Cache, names: &Arc<Mutex<Keys>>, scene: &Arc<Scene>, events: &Events) {
-    let (names, scene, events) = (names.clone(), scene.clone(), events.clone());
-    cache.on_damage(move |key, reason| {
-        let kind = key.split(':').next().unwrap_or(key);
-        let stage = match kind {
-            "embedding" => Stage::Embed.name(),
-            "visibility" => Stage::Features.name(),
-            "history" | "snapshot" => Stage::Geometry.name(),
-            other => other,
-        };
-        let photo = lock(&names)
-            .view_of(key)
-            .map_or(String::new(), |view| format!(" of photo {}", scene.views[view].name));
-        let message = format!("the cache's {kind} record{photo} was damaged ({reason}): it is made again");
-        events.warn(Some(stage), message);
-    });
 }

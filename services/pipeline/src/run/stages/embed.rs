@@ -44,8 +44,8 @@ impl ActorStage for EmbedStage {
     fn start(&mut self, run: &mut RunContext<'_>, actors: &Actors<'_>) -> Result<(), RunError> {
         let views = run.views(false);
         *self = EmbedStage::Open(views.len());
-        run.open(Stage::Embed, &NODE.key(&run.keys), views.len())?;
-        let (features, keys) = (actors.features.clone(), run.keys.embedding.clone());
+        run.open(Stage::Embed, &NODE.key(run.keys()), views.len())?;
+        let (features, keys) = (actors.features.clone(), run.keys().embedding.clone());
         // A source only sends and needs no threads to compute on.
         let feeder = ActorOptions { threads: Some(1), ..ActorOptions::default() };
         actors.system.source("photos", feeder, move |context| {
@@ -70,14 +70,14 @@ impl ActorStage for EmbedStage {
             }
             other => return Ok(Some(other)),
         };
-        let key = run.keys.embedding[view];
+        let key = run.keys().embedding[view];
         run.view_done(Stage::Embed, view, &key, given_up.as_ref(), seconds)?;
         run.made.embedded[view] = given_up.is_none();
         if let EmbedStage::Open(open) = self {
             *open -= 1;
         }
         if self.state() == StageState::Over {
-            run.close(Stage::Embed, &NODE.key(&run.keys))?;
+            run.close(Stage::Embed, &NODE.key(run.keys()))?;
         }
         Ok(None)
     }

@@ -29,23 +29,23 @@ fn evaluate(after: &mut AfterActors<'_, '_>) -> Result<(), RunError> {
     let AfterActors { run, report, traces, holds_out, scores } = after;
     let Some(model) = run.made.model.clone() else { return Ok(()) };
     let name = Stage::Evaluate.name();
-    let events = &run.options.events;
-    let key = run.keys.evaluation;
-    let known = run.folder.read_json::<HeldOut>("evaluation.json").ok();
-    if run.ledger.stage_is_done(name, &key)? && (known.is_some() || !*holds_out) {
+    let events = &run.setup.options.events;
+    let key = run.keys().evaluation;
+    let known = run.setup.folder.read_json::<HeldOut>("evaluation.json").ok();
+    if run.setup.ledger.stage_is_done(name, &key)? && (known.is_some() || !*holds_out) {
         events.tell(Event::StageSkipped { stage: name.into(), key: key.to_string() });
         *scores = known.filter(|_| *holds_out);
         return Ok(());
     }
-    run.ledger.start_stage(name, &key)?;
+    run.setup.ledger.start_stage(name, &key)?;
     let progress = events.stage(name, None);
-    let skies = run.skies.clone();
+    let skies = run.signals.skies.clone();
     let sky = move |view: usize| skies.read(view);
     let mut unscored = BTreeSet::new();
     let scored = traces.step(report, name, || {
-        let usable = |view: usize| run.keys.unreadable(view).is_none();
+        let usable = |view: usize| run.keys().unreadable(view).is_none();
         let record = |view: usize, scored: Result<f64, ActorFailure>| {
-            let photo = &run.scene.views[view].name;
+            let photo = &run.scene().views[view].name;
             let outcome = match scored {
                 Ok(seconds) => ViewOutcome::done(seconds),
                 Err(reason) => {
@@ -55,16 +55,26 @@ fn evaluate(after: &mut AfterActors<'_, '_>) -> Result<(), RunError> {
                     ViewOutcome::failed(1, reason.to_string())
                 }
             };
-            Ok(run.ledger.record_view(name, photo, &key, &outcome)?)
+            Ok(run.setup.ledger.record_view(name, photo, &key, &outcome)?)
         };
-        let (engine, lpips) = (&*run.engine, run.lpips.as_deref());
-        held_out(run.folder, &run.photos, &model, engine, run.settings, lpips, usable, sky, record)
+        let (engine, lpips) = (&*run.setup.engine, run.setup.lpips.as_deref());
+        held_out(
+            run.setup.folder,
+            run.photos(),
+            &model,
+            engine,
+            run.setup.settings,
+            lpips,
+            usable,
+            sky,
+            record,
+        )
     });
-    if let Some(lost) = run.skies.lost() {
+    if let Some(lost) = run.signals.skies.lost() {
         return Err(RunError::of_stage(Stage::Sky.name(), &lost));
     }
     *scores = scored?;
     run.intact()?;
     progress.finish();
-    Ok(run.ledger.finish_stage(name, &run.keys.evaluation_without(&unscored), None)?)
+    Ok(run.setup.ledger.finish_stage(name, &run.keys().evaluation_without(&unscored), None)?)
 }

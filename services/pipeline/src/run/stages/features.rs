@@ -11,8 +11,8 @@ use crate::run::results::StageResults;
 use crate::run::stage::Stage;
 use crate::run::work::{ActorStage, Actors, StageState};
 use segwild_features::{FeatureField, FeatureOutcome, FeatureTask};
+use segwild_flow::Key;
 use segwild_flow::ledger::ViewOutcome;
-use segwild_flow::{ActorFailure, Key};
 use std::sync::Arc;
 
 /// The stage in the graph.
@@ -62,7 +62,7 @@ impl ActorStage for FeatureStage {
         match outcome {
             ActorOutcome::Feature(FeatureOutcome::Field(field)) => *self = FeatureStage::Made(field),
             ActorOutcome::Feature(FeatureOutcome::FieldFailed(reason)) => {
-                run.tally.failed = Some((Stage::Features, ActorFailure::fatal(reason)));
+                run.fail(Stage::Features, reason);
             }
             other => return Ok(Some(other)),
         }
@@ -75,10 +75,10 @@ impl ActorStage for FeatureStage {
             FeatureStage::Made(field) if run.all_masks_known() => {
                 run.intact()?;
                 let key = field_key(run);
-                run.keys.features = key;
-                run.cache.put_typed(&key, FEATURES, &*field)?;
-                run.ledger.finish_stage(Stage::Features.name(), &key, None)?;
-                run.folder.write_record("features.bin", FEATURES, &*field)?;
+                run.name_features(key);
+                run.setup.cache.put_typed(&key, FEATURES, &*field)?;
+                run.setup.ledger.finish_stage(Stage::Features.name(), &key, None)?;
+                run.setup.folder.write_record("features.bin", FEATURES, &*field)?;
                 *self = FeatureStage::Kept;
             }
             unchanged => *self = unchanged,
@@ -90,25 +90,25 @@ impl ActorStage for FeatureStage {
 /// Takes the field from the cache, or orders it.
 fn order(run: &mut RunContext<'_>, actors: &Actors<'_>) -> Result<FeatureStage, RunError> {
     let (key, masks_known) = (field_key(run), run.all_masks_known());
-    if !masks_known && run.cache.contains(&key) {
+    if !masks_known && run.setup.cache.contains(&key) {
         return Ok(FeatureStage::LikelyKept);
     }
     let Some(inputs) = run.made.inputs.clone() else { return Ok(FeatureStage::LikelyKept) };
     let views = run.views(false);
     for &view in views.iter().filter(|view| !run.made.unseen.contains(view)) {
-        let (name, key) = (&run.scene.views[view].name, &run.keys.visibility[view]);
-        run.ledger.record_view(Stage::Visibility.name(), name, key, &ViewOutcome::cached())?;
+        let (name, key) = (&run.scene().views[view].name, &run.keys().visibility[view]);
+        run.setup.ledger.record_view(Stage::Visibility.name(), name, key, &ViewOutcome::cached())?;
     }
     if masks_known
-        && let Some(field) = run.cache.get_typed::<FeatureField>(&key, FEATURES)?
+        && let Some(field) = run.setup.cache.get_typed::<FeatureField>(&key, FEATURES)?
         && field.check().is_ok()
     {
-        run.keys.features = key;
+        run.name_features(key);
         run.skip_stage(Stage::Features, &key)?;
-        run.folder.write_record("features.bin", FEATURES, &field)?;
+        run.setup.folder.write_record("features.bin", FEATURES, &field)?;
         return Ok(FeatureStage::Kept);
     }
-    run.ledger.start_stage(Stage::Features.name(), &key)?;
+    run.setup.ledger.start_stage(Stage::Features.name(), &key)?;
     let given = |view: &usize| run.made.embedded[*view] && !run.made.unseen.contains(view);
     let task = FeatureTask::Field {
         splats: Arc::new(inputs.model.splats.clone()),
@@ -125,6 +125,6 @@ fn order(run: &mut RunContext<'_>, actors: &Actors<'_>) -> Result<FeatureStage, 
 fn field_key(run: &RunContext<'_>) -> Key {
     let views = run.views(false);
     let no_embedding = views.iter().copied().filter(|&view| !run.made.embedded[view]).collect();
-    let no_masks = views.iter().copied().filter(|&v| run.masks_known.get(v) == Some(false)).collect();
-    run.keys.features_without(&no_embedding, &no_masks, &run.made.unseen)
+    let no_masks = views.iter().copied().filter(|&v| run.signals.masks_known.get(v) == Some(false)).collect();
+    run.keys().features_without(&no_embedding, &no_masks, &run.made.unseen)
 }

@@ -66,56 +66,59 @@ impl ActorStage for GeometryStage {
         run.name_training()?;
         // A whole record may still be another program's: one whose parts do not fit together counts as missing.
         let sound = |model: &Model| model.check().is_ok();
-        let done = run.cache.get_typed::<Model>(&run.keys.geometry, MODEL)?.filter(sound);
-        let snapshot = run.cache.get_typed::<Model>(&run.keys.snapshot, MODEL)?.filter(sound);
+        let done = run.setup.cache.get_typed::<Model>(&run.keys().geometry, MODEL)?.filter(sound);
+        let snapshot = run.setup.cache.get_typed::<Model>(&run.keys().snapshot, MODEL)?.filter(sound);
         let snapshot_kept = snapshot.is_some();
         if let Some(snapshot) = snapshot {
             run.made.snapshot.put(Arc::new(snapshot));
         }
-        let snapshot_step = run.settings.train.snapshot_step();
+        let snapshot_step = run.setup.settings.train.snapshot_step();
         if let Some(model) = done {
-            match run.cache.get_typed::<Vec<Moment>>(&run.keys.history, HISTORY)? {
-                Some(moments) => history::replace(run.folder, &moments)?,
+            match run.setup.cache.get_typed::<Vec<Moment>>(&run.keys().history, HISTORY)? {
+                Some(moments) => history::replace(run.setup.folder, &moments)?,
                 // The history in the folder is of this training.
-                None if run.ledger.stage_is_done(Stage::Geometry.name(), &run.keys.geometry)? => {
-                    run.cache.put_typed(&run.keys.history, HISTORY, &history::read(run.folder))?;
+                None if run.setup.ledger.stage_is_done(Stage::Geometry.name(), &run.keys().geometry)? => {
+                    run.setup.cache.put_typed(
+                        &run.keys().history,
+                        HISTORY,
+                        &history::read(run.setup.folder),
+                    )?;
                 }
                 None => {}
             }
             run.take_model(Arc::new(model))?;
             if snapshot_kept {
                 *self = GeometryStage::Trained;
-                return run.skip_stage(Stage::Geometry, &run.keys.geometry);
+                return run.skip_stage(Stage::Geometry, &run.keys().geometry);
             }
             *self = GeometryStage::AgainToSnapshot;
         }
-        run.ledger.start_stage(Stage::Geometry.name(), &run.keys.geometry)?;
+        run.setup.ledger.start_stage(Stage::Geometry.name(), &run.keys().geometry)?;
         // Without the snapshot the training is done again from a checkpoint before it, or from the start.
         let before = if snapshot_kept { u32::MAX } else { snapshot_step };
         let again = matches!(self, GeometryStage::AgainToSnapshot);
-        let until = if again { snapshot_step } else { run.steps };
+        let until = if again { snapshot_step } else { run.setup.steps };
         let checkpoint = match stands_at(run, before)? {
             Some(step) if !again => {
                 *self = GeometryStage::Paused;
                 run.made.paused = Some(step);
                 return Ok(());
             }
-            _ => find_checkpoint(run, before.min(run.steps.saturating_add(1))),
+            _ => find_checkpoint(run, before.min(run.setup.steps.saturating_add(1))),
         };
-        let bar = run.options.events.stage(Stage::Geometry.name(), Some(until.into()));
-        run.bars.insert(Stage::Geometry, bar);
-        for view in run.views(false).into_iter().filter(|_| run.known.network.is_some()) {
-            let (name, key) = (&run.scene.views[view].name, &run.keys.known_transients[view]);
-            run.ledger.record_view(TRANSIENTS, name, key, &ViewOutcome::cached())?;
+        run.start_bar(Stage::Geometry, until.into());
+        for view in run.views(false).into_iter().filter(|_| run.setup.known.network.is_some()) {
+            let (name, key) = (&run.scene().views[view].name, &run.keys().known_transients[view]);
+            run.setup.ledger.record_view(TRANSIENTS, name, key, &ViewOutcome::cached())?;
         }
         let order = TrainOrder {
-            scene: run.given.clone(),
+            scene: run.setup.given.clone(),
             photos: photos(run),
-            settings: run.settings.train.clone(),
-            lpips: run.lpips.clone(),
+            settings: run.setup.settings.train.clone(),
+            lpips: run.setup.lpips.clone(),
             until,
             checkpoint,
-            checkpoint_every: Duration::from_secs(run.settings.run.checkpoint_every.max(1).into()),
+            checkpoint_every: Duration::from_secs(run.setup.settings.run.checkpoint_every.max(1).into()),
         };
         actors.training.blocking_send(order).map_err(|_| RunError::Interrupted) // closed: everything stops
     }
@@ -142,36 +145,36 @@ impl GeometryStage {
         let again = matches!(self, GeometryStage::AgainToSnapshot);
         match outcome {
             TrainOutcome::Began { step, upcoming } => {
-                run.skies.prefer(&upcoming);
+                run.signals.skies.prefer(&upcoming);
                 if step > 0 {
-                    run.options.events.info(Some(name), format!("goes on from step {step}"));
+                    run.setup.options.events.info(Some(name), format!("goes on from step {step}"));
                 }
-                if let Some(bar) = run.bars.get_mut(&Stage::Geometry) {
+                if let Some(bar) = run.bar(Stage::Geometry) {
                     bar.cached(u64::from(step).saturating_sub(bar.done()));
                 }
-                if again { Ok(()) } else { history::trim(run.folder, step) }
+                if again { Ok(()) } else { history::trim(run.setup.folder, step) }
             }
             TrainOutcome::Progress { step, loss, psnr, splats, left_out } => {
                 // Imported splats are not trained: they have no losses.
-                let trained = run.scene.imported.is_none();
+                let trained = run.scene().imported.is_none();
                 if trained && !again {
-                    history::append(run.folder, &Moment { step, loss, psnr, splats, left_out })?;
+                    history::append(run.setup.folder, &Moment { step, loss, psnr, splats, left_out })?;
                 }
-                if let Some(bar) = run.bars.get_mut(&Stage::Geometry) {
+                if let Some(bar) = run.bar(Stage::Geometry) {
                     bar.advance(u64::from(step).saturating_sub(bar.done()));
                 }
-                let (events, at) = (&run.options.events, Some(u64::from(step)));
+                let (events, at) = (&run.setup.options.events, Some(u64::from(step)));
                 let metrics = [("psnr_db", psnr), ("loss", loss), ("left_out", left_out)];
                 for (metric, value) in metrics.into_iter().take(if trained { 3 } else { 1 }) {
                     events.metric(name, metric, f64::from(value), at);
                 }
                 events.metric(name, "splats", splats as f64, at);
-                events.metric(name, "stall_s", run.skies.waited_s(), None);
+                events.metric(name, "stall_s", run.signals.skies.waited_s(), None);
                 Ok(())
             }
             TrainOutcome::Snapshot(snapshot) => {
                 run.intact()?;
-                run.cache.put_typed(&run.keys.snapshot, MODEL, &*snapshot)?;
+                run.setup.cache.put_typed(&run.keys().snapshot, MODEL, &*snapshot)?;
                 run.made.snapshot.put(snapshot);
                 Ok(())
             }
@@ -180,7 +183,7 @@ impl GeometryStage {
                 let began = Instant::now();
                 run.keeper().save(&checkpoint)?;
                 let seconds = began.elapsed().as_secs_f64();
-                run.options.events.metric(name, "checkpoint_s", seconds, None);
+                run.setup.options.events.metric(name, "checkpoint_s", seconds, None);
                 Ok(())
             }
             TrainOutcome::Paused(_) | TrainOutcome::Done(..) if again => {
@@ -194,21 +197,21 @@ impl GeometryStage {
             }
             TrainOutcome::Done(model, skipped) => {
                 run.intact()?;
-                run.cache.put_typed(&run.keys.history, HISTORY, &history::read(run.folder))?;
-                run.cache.put_typed(&run.keys.geometry, MODEL, &*model)?;
+                run.setup.cache.put_typed(&run.keys().history, HISTORY, &history::read(run.setup.folder))?;
+                run.setup.cache.put_typed(&run.keys().geometry, MODEL, &*model)?;
                 finish(run)?;
                 run.mask_speed.training_ended();
                 for s in skipped {
                     let words = format!("photo {} is left out: {}", s.name, s.reason);
-                    if run.tally.skip(s) {
-                        run.options.events.warn(Some(name), words);
+                    if run.leave_out(s) {
+                        run.setup.options.events.warn(Some(name), words);
                     }
                 }
                 *self = GeometryStage::Trained;
                 run.take_model(model)
             }
             TrainOutcome::Failed(reason) => {
-                run.tally.failed = Some((Stage::Geometry, ActorFailure::fatal(reason)));
+                run.fail(Stage::Geometry, reason);
                 Ok(())
             }
         }
@@ -217,18 +220,16 @@ impl GeometryStage {
 
 /// Ends the stage in the ledger.
 fn finish(run: &mut RunContext<'_>) -> Result<(), RunError> {
-    run.ledger.finish_stage(Stage::Geometry.name(), &run.keys.geometry, None)?;
-    if let Some(bar) = run.bars.remove(&Stage::Geometry) {
-        bar.finish();
-    }
+    run.setup.ledger.finish_stage(Stage::Geometry.name(), &run.keys().geometry, None)?;
+    run.finish_bar(Stage::Geometry);
     Ok(())
 }
 
 /// The photos as the trainer reads them: each waits for its sky.
 fn photos(run: &RunContext<'_>) -> Arc<dyn Photos> {
-    let (store, skies) = (run.photos.clone(), run.skies.clone());
-    let (stopper, tainted) = (run.options.stopper.clone(), run.tainted.clone());
-    let transients = run.known.clone();
+    let (store, skies) = (run.photos().clone(), run.signals.skies.clone());
+    let (stopper, tainted) = (run.setup.options.stopper.clone(), run.signals.tainted.clone());
+    let transients = run.setup.known.clone();
     let photos = move |view: usize| -> Result<TrainPhoto, ReaderError> {
         let loaded = store.read(view).inspect_err(|_| {
             tainted.fetch_or(store.scene().views[view].intact().is_err(), Ordering::AcqRel);
@@ -242,24 +243,25 @@ fn photos(run: &RunContext<'_>) -> Arc<dyn Photos> {
         transients.apply(view, &mut photo)?;
         Ok(photo)
     };
-    Arc::new(Sifted { photos, refused: run.keys.refused() })
+    Arc::new(Sifted { photos, refused: run.keys().refused() })
 }
 
 /// The step of the newest checkpoint, if the training is to stop before its end and has come that far.
 fn stands_at(run: &RunContext<'_>, before: u32) -> Result<Option<u32>, RunError> {
-    if run.steps >= run.settings.train.steps {
+    if run.setup.steps >= run.setup.settings.train.steps {
         return Ok(None);
     }
     let newest = run.keeper().last_before(before)?.map(|c| c.step());
-    Ok(newest.filter(|&step| step >= run.steps))
+    Ok(newest.filter(|&step| step >= run.setup.steps))
 }
 
 /// Returns a function that finds the last checkpoint before a step. The trainer calls it at its start and after a
 /// panic.
 fn find_checkpoint(run: &RunContext<'_>, before: u32) -> Arc<FindCheckpoint> {
-    let (folder, ledger, events) = (run.folder.clone(), run.ledger.clone(), run.options.events.clone());
-    let (key, kept) = (run.keys.training, run.settings.run.keep_checkpoints as usize);
-    let (elsewhere, origin) = (run.elsewhere.clone(), run.origin.clone());
+    let (folder, ledger, events) =
+        (run.setup.folder.clone(), run.setup.ledger.clone(), run.setup.options.events.clone());
+    let (key, kept) = (run.keys().training, run.setup.settings.run.keep_checkpoints as usize);
+    let (elsewhere, origin) = (run.setup.elsewhere.clone(), run.setup.origin.clone());
     let stage = Some(Stage::Geometry.name());
     Arc::new(move || {
         let last = |key| {

@@ -52,11 +52,13 @@ impl ActorStage for MasksStage {
         let Some(snapshot) = run.made.snapshot.take() else { return Ok(()) };
         let views = run.views(false);
         *self = MasksStage::Open(views.len());
-        run.open(Stage::Masks, &NODE.key(&run.keys), views.len())?;
-        let (size, keys, skies) = (run.settings.scene.size, run.keys.masks.clone(), run.skies.clone());
+        run.open(Stage::Masks, &NODE.key(run.keys()), views.len())?;
+        let (size, keys, skies) =
+            (run.setup.settings.scene.size, run.keys().masks.clone(), run.signals.skies.clone());
         let (cache, mask_source, out) =
-            (run.cache.clone(), run.settings.masks.mask_source, actors.masks.clone());
-        let renders = Arc::new(SnapshotRenders::new(snapshot, run.engine.clone(), &run.given, size));
+            (run.setup.cache.clone(), run.setup.settings.masks.mask_source, actors.masks.clone());
+        let renders =
+            Arc::new(SnapshotRenders::new(snapshot, run.setup.engine.clone(), &run.setup.given, size));
         actors.system.source("intrinsic renders", ActorOptions::default(), move |context| {
             for &view in &views {
                 context.check()?;
@@ -82,16 +84,17 @@ impl ActorStage for MasksStage {
         let ActorOutcome::Mask(MaskOutcome::Masks { view, masks, seconds }) = outcome else {
             return Ok(Some(outcome));
         };
-        let key = run.keys.masks[view];
+        let key = run.keys().masks[view];
         run.view_done(Stage::Masks, view, &key, masks.as_ref().err(), seconds)?;
-        run.masks_known.set(view, masks.is_ok());
+        run.signals.masks_known.set(view, masks.is_ok());
         if let MasksStage::Open(open) = self {
             *open -= 1;
         }
-        run.mask_speed.add(seconds, run.bars.contains_key(&Stage::Geometry));
+        let training = run.has_bar(Stage::Geometry);
+        run.mask_speed.add(seconds, training);
         if self.state() == StageState::Over {
-            run.mask_speed.report(&run.options.events);
-            run.close(Stage::Masks, &NODE.key(&run.keys))?;
+            run.mask_speed.report(&run.setup.options.events);
+            run.close(Stage::Masks, &NODE.key(run.keys()))?;
         }
         Ok(None)
     }

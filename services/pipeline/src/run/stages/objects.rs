@@ -47,24 +47,24 @@ fn objects(after: &mut AfterActors<'_, '_>) -> Result<(), RunError> {
 }
 
 fn list(run: &RunContext<'_>, inputs: &Inputs) -> Result<(), RunError> {
-    let geometry = run.keys.geometry.to_string();
+    let geometry = run.keys().geometry.to_string();
     let stopping = || run.is_stopping();
-    let source = tree_source(inputs, &geometry, &*run.segmenter, &stopping)?;
+    let source = tree_source(inputs, &geometry, &*run.setup.segmenter, &stopping)?;
     // Of a tree without the masks of photos that were given up, it is another list.
-    let (folder, name, key) = (run.folder, Stage::Objects.name(), list_of(&source.key()));
-    let events = &run.options.events;
+    let (folder, name, key) = (run.setup.folder, Stage::Objects.name(), list_of(&source.key()));
+    let events = &run.setup.options.events;
     let before = ObjectList::read(folder);
-    if run.ledger.stage_is_done(name, &key)? && before.is_some() {
+    if run.setup.ledger.stage_is_done(name, &key)? && before.is_some() {
         events.tell(Event::StageSkipped { stage: name.into(), key: key.to_string() });
         return Ok(());
     }
-    run.ledger.start_stage(name, &key)?;
+    run.setup.ledger.start_stage(name, &key)?;
     let progress = events.stage(name, None);
-    match source.tree(&run.cache, &stopping)? {
+    match source.tree(&run.setup.cache, &stopping)? {
         Some(tree) => {
             let (photos, model, key) = (source.photos, source.model, source.key().to_string());
             let request = ListRequest { photos, model, tree: &tree, key };
-            let listed = request.list(before.as_ref(), &run.options.stopper)?;
+            let listed = request.list(before.as_ref(), &run.setup.options.stopper)?;
             listed.write(folder)?;
             if let Some(words) = listed.list.seen_once.as_ref().and_then(diagnostics::seen_once) {
                 events.info(Some(name), words);
@@ -75,5 +75,5 @@ fn list(run: &RunContext<'_>, inputs: &Inputs) -> Result<(), RunError> {
         None => ObjectList::remove(folder)?,
     }
     progress.finish();
-    Ok(run.ledger.finish_stage(name, &key, None)?)
+    Ok(run.setup.ledger.finish_stage(name, &key, None)?)
 }

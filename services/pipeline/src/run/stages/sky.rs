@@ -59,12 +59,12 @@ impl ActorStage for SkyStage {
     fn start(&mut self, run: &mut RunContext<'_>, actors: &Actors<'_>) -> Result<(), RunError> {
         let views = run.views(true);
         let (held_out, training): (Vec<usize>, Vec<usize>) =
-            views.iter().partition(|&&view| run.scene.views[view].test);
+            views.iter().partition(|&&view| run.scene().views[view].test);
         *self = SkyStage::Open { all: views.len(), trained_on: training.len() };
         // Held-out photos come last: only the scores need their skies.
-        run.skies.plan(training.into_iter().chain(held_out));
-        run.open(Stage::Sky, &NODE.key(&run.keys), views.len())?;
-        let (masks, keys, skies) = (actors.masks.clone(), run.keys.sky.clone(), run.skies.clone());
+        run.signals.skies.plan(training.into_iter().chain(held_out));
+        run.open(Stage::Sky, &NODE.key(run.keys()), views.len())?;
+        let (masks, keys, skies) = (actors.masks.clone(), run.keys().sky.clone(), run.signals.skies.clone());
         // A source only sends and needs no threads to compute on.
         let feeder = ActorOptions { threads: Some(1), ..ActorOptions::default() };
         actors.system.source("ingest", feeder, move |context| {
@@ -85,19 +85,19 @@ impl ActorStage for SkyStage {
         let ActorOutcome::Mask(MaskOutcome::Sky { view, sky, seconds }) = outcome else {
             return Ok(Some(outcome));
         };
-        let key = run.keys.sky[view];
+        let key = run.keys().sky[view];
         run.view_done(Stage::Sky, view, &key, sky.as_ref().err(), seconds)?;
         if sky.is_err() {
             run.do_without_sky(view)?;
         }
         // From here on the trainer may use the photo: the keys already account for its sky.
-        run.skies.set(view, sky.is_ok());
+        run.signals.skies.set(view, sky.is_ok());
         if let SkyStage::Open { all, trained_on } = self {
             *all -= 1;
-            *trained_on -= usize::from(!run.scene.views[view].test);
+            *trained_on -= usize::from(!run.scene().views[view].test);
         }
         if self.state() == StageState::Over {
-            run.close(Stage::Sky, &NODE.key(&run.keys))?;
+            run.close(Stage::Sky, &NODE.key(run.keys()))?;
         }
         Ok(None)
     }

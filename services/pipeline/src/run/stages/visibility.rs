@@ -64,25 +64,25 @@ impl ActorStage for VisibilityStage {
         let Some(model) = run.made.model.clone() else { return Ok(()) };
         *self = VisibilityStage::Comparing;
         let inputs = Arc::new(Inputs {
-            given: run.given.clone(),
+            given: run.setup.given.clone(),
             recompute: run.recompute(),
-            keys: run.keys.clone(),
-            photos: run.photos.clone(),
+            keys: run.keys().clone(),
+            photos: run.photos().clone(),
             model,
-            engine: run.engine.clone(),
-            skies: run.skies.clone(),
-            masks_known: run.masks_known.clone(),
-            embedder: run.embedder.clone(),
-            maker: run.maker.clone(),
-            known: run.known.clone(),
-            photos_at_once: memory::photos_at_once(run.settings, &run.scene),
+            engine: run.setup.engine.clone(),
+            skies: run.signals.skies.clone(),
+            masks_known: run.signals.masks_known.clone(),
+            embedder: run.setup.embedder.clone(),
+            maker: run.setup.maker.clone(),
+            known: run.setup.known.clone(),
+            photos_at_once: memory::photos_at_once(run.setup.settings, run.scene()),
         });
         run.made.inputs = Some(inputs.clone());
         let (views, out) = (run.views(false), actors.own.clone());
-        let geometry = run.keys.geometry.to_string();
+        let geometry = run.keys().geometry.to_string();
         let (folder, segmenter, events) =
-            (run.folder.clone(), run.segmenter.clone(), run.options.events.clone());
-        let ledger = run.ledger.clone();
+            (run.setup.folder.clone(), run.setup.segmenter.clone(), run.setup.options.events.clone());
+        let ledger = run.setup.ledger.clone();
         actors.system.source(Stage::Visibility.name(), ActorOptions::default(), move |context| {
             let mut failed = Vec::new();
             for &view in &views {
@@ -131,8 +131,8 @@ impl ActorStage for VisibilityStage {
     ) -> Result<Option<ActorOutcome>, RunError> {
         let ActorOutcome::Visibility(failed) = outcome else { return Ok(Some(outcome)) };
         for (view, error) in &failed {
-            let key = run.keys.visibility[*view];
-            let label = run.scene.views[*view].name.clone();
+            let key = run.keys().visibility[*view];
+            let label = run.scene().views[*view].name.clone();
             let given_up = Quarantined { label, error: error.clone(), attempts: ATTEMPTS };
             run.view_done(Stage::Visibility, *view, &key, Some(&given_up), None)?;
         }
