@@ -110,10 +110,10 @@ fn refusal_code(refusal: SystemRefusal) -> u8 {
     }
 }
 
-/// Whether the system had something not left: by the error, or by its words where it keeps nothing else of its cause.
+/// Whether the system had no file descriptor, process or thread left.
 fn is_shortage(error: &RunError) -> bool {
     let of_threads = matches!(error, RunError::Spawn(e) if shortage::is_shortage_of_processes(&e.source));
-    of_threads || shortage::is_caused_by_shortage(error) || shortage::is_shortage_message(&error.to_string())
+    of_threads || SystemRefusal::of(error) == Some(SystemRefusal::Shortage)
 }
 
 fn poses_code(error: &PosesError) -> u8 {

@@ -1,7 +1,7 @@
 //! What the disk or the system refuses: no fault of the work, which may be done later.
 
 use crate::files::FileError;
-use crate::shortage::{is_shortage, is_shortage_message};
+use crate::shortage::is_shortage;
 use std::error::Error;
 use std::io;
 
@@ -28,8 +28,7 @@ impl SystemRefusal {
     pub fn of(error: &(dyn Error + 'static)) -> Option<SystemRefusal> {
         let sources = || std::iter::successors(Some(error), |&error| error.source());
         let of_system = || sources().filter_map(|error| error.downcast_ref::<io::Error>());
-        // Some errors keep only the words of what caused them.
-        if of_system().any(is_shortage) || is_shortage_message(&error.to_string()) {
+        if of_system().any(is_shortage) || ends_in_shortage(&error.to_string()) {
             return Some(SystemRefusal::Shortage);
         }
         if of_system().any(is_unanswered) {
@@ -38,6 +37,15 @@ impl SystemRefusal {
         let of_disk = of_system().any(is_of_disk) || sources().any(|error| error.is::<FileError>());
         of_disk.then_some(SystemRefusal::Disk)
     }
+}
+
+/// Whether the words of an error end in those of the system for a shortage. An error may keep only the words of its cause: a
+/// decoder of images, a network's runtime, or a photo that a stage gave up after several attempts and that the failure of
+/// the stage names. This is the one function that reads words.
+fn ends_in_shortage(words: &str) -> bool {
+    let code = words.strip_suffix(')').and_then(|rest| rest.rsplit_once("(os error ")).map(|(_, code)| code);
+    let code = code.and_then(|code| code.parse().ok());
+    code.is_some_and(|code| is_shortage(&io::Error::from_raw_os_error(code)))
 }
 
 /// Whether a program has noted that nobody answers it. From the system itself the same error comes with a number, and is
@@ -86,6 +94,8 @@ mod tests {
         assert_eq!(SystemRefusal::of(&file), Some(SystemRefusal::Shortage));
         let words = Error::other(format!("cannot read a.jpg: {}", error()));
         assert_eq!(SystemRefusal::of(&words), Some(SystemRefusal::Shortage));
+        let other = Error::other("cannot read a (os error 24).jpg: it is no image");
+        assert_eq!(SystemRefusal::of(&other), None);
     }
 
     #[cfg(target_os = "linux")]

@@ -1,7 +1,6 @@
 //! File descriptors, processes and threads that the system does not have left: no fault of the work, which may be done
 //! once others have given some back.
 
-use std::error::Error;
 use std::io;
 
 /// A process needs about so many open files: databases, photos read by each thread, connections of `--metrics-listen`.
@@ -31,27 +30,6 @@ pub fn is_shortage(error: &io::Error) -> bool {
 /// Whether the system could not start a thread or a process for want of one.
 pub fn is_shortage_of_processes(error: &io::Error) -> bool {
     is_shortage(error) || error.kind() == io::ErrorKind::WouldBlock
-}
-
-/// As [`is_shortage`], of whatever stands behind an error.
-pub fn is_caused_by_shortage(error: &(dyn Error + 'static)) -> bool {
-    let sources = std::iter::successors(Some(error), |&error| error.source());
-    sources.filter_map(|error| error.downcast_ref()).any(is_shortage)
-}
-
-/// As [`is_shortage`], of an error that has become words: they end in the system's own.
-///
-/// ```
-/// # #[cfg(unix)] {
-/// let refused = std::io::Error::from_raw_os_error(24);
-/// assert!(segwild_flow::shortage::is_shortage_message(&format!("cannot read a.jpg: {refused}")));
-/// # }
-/// assert!(!segwild_flow::shortage::is_shortage_message("cannot read a.jpg: it is no image"));
-/// ```
-pub fn is_shortage_message(words: &str) -> bool {
-    let code = words.strip_suffix(')').and_then(|rest| rest.rsplit_once("(os error ")).map(|(_, code)| code);
-    let code = code.and_then(|code| code.parse().ok());
-    code.is_some_and(|code| is_shortage(&io::Error::from_raw_os_error(code)))
 }
 
 /// Raises the number of files that this process may have open, as far as the system lets it without asking; returns how
