@@ -4,7 +4,7 @@
 //! [`compare`] is stateless: sums for the photo's appearance, for the background and for the histogram of residuals are
 //! returned ([`LossOutput`]). So it may run where the image is, on the host or on a device.
 
-pub use crate::photo_target::PhotoTarget;
+pub use crate::photo_target::{PhotoTarget, untrusted};
 
 use crate::appearance::{apply_matrix, matrix_backward};
 use crate::background::{BackgroundSums, ColourSums, SkySums, add_background, paint};

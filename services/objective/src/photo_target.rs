@@ -49,6 +49,11 @@ impl PhotoTarget {
         if self.trust.is_empty() {
             return residual.to_vec();
         }
-        residual.iter().zip(&self.trust).map(|(r, t)| r * (1.0 - t)).collect()
+        untrusted(residual, &self.trust)
     }
+}
+
+/// Residuals per pixel, each times one minus the trust of its pixel.
+pub fn untrusted(residual: &[f32], trust: &[f32]) -> Vec<f32> {
+    residual.iter().zip(trust).map(|(r, t)| r * (1.0 - t)).collect()
 }

@@ -9,8 +9,6 @@ use crate::photos::{PhotoLevel, Photos, Stored, TrainPhotoCache};
 use crate::posed::posed_view;
 use segwild_nn::{Lpips, Map};
 use segwild_objective::background::{Background, LEAST_SEEN, PRIOR_OF_HALF, SkySums};
-use segwild_objective::compare::mean_difference;
-use segwild_objective::transients::contradicted;
 use segwild_objective::{AffineAppearance, AnyAppearance, Appearance, HIDDEN_LAYER, RANK, psnr, ssim};
 use segwild_raster::{Channels, Rasterizer};
 use segwild_scene::{Camera, Image, Pose, Scene, Splats, View};
@@ -92,12 +90,7 @@ pub fn evaluate(
         let (psnr, ssim) = score(&render, photo, scored);
         let lpips = lpips.and_then(|lpips| perceptual_score(lpips, &render, photo, from));
         let posed = posed_view(scene, view);
-        let residual = posed.untrusted_residual(&mean_difference(&render, &photo.image()), photo);
-        let share = model.transient_shares[view];
-        let against = match share {
-            0.0 => vec![false; residual.len()],
-            share => contradicted(&residual, w, |i| photo.counts(i), share),
-        };
+        let against = posed.contradicted(&render, photo, model.transient_shares[view]);
         let (kept_psnr, _) = score(&render, photo, |i| scored(i) && !against[i]);
         let count = |of: &dyn Fn(usize) -> bool| {
             (0..photo.pixels()).filter(|&i| scored(i) && photo.valid(i) && of(i)).count() as f32

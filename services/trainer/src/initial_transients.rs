@@ -14,7 +14,6 @@ use crate::photos::{Stored, TrainPhotoCache};
 use crate::posed::Posed;
 use crate::{AppearanceModel, Model, TrainError, TrainSettings, Trainer};
 use segwild_objective::Engine;
-use segwild_objective::compare::mean_difference;
 use segwild_objective::transients::{INITIAL_TRANSIENT, relative};
 use segwild_raster::{Channels, Projected, Rasterizer};
 use segwild_scene::{Mask, Scene, box_mean};
@@ -219,7 +218,7 @@ impl CrossCheck<'_> {
         let at = &self.scene.views[view];
         let Unseen { shown, alpha } =
             render_unseen(self.model, self.engine, at, stored, FINEST, Some(&|_| true))?;
-        let mut residual = posed.untrusted_residual(&mean_difference(&shown, &photo.image()), photo);
+        let mut residual = posed.residual(&shown, photo);
         // Where the scene is empty, a residual is no evidence.
         residual.iter_mut().zip(&alpha.data).for_each(|(r, alpha)| *r *= alpha);
         let ratio = relative(&residual, w, |i| photo.counts(i), self.share);

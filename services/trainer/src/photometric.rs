@@ -50,7 +50,7 @@ impl PhotoSide<'_> {
 
     /// Whether transients are searched for in the photo.
     pub fn may_show_transients(&self, step_photo: &StepPhoto) -> bool {
-        !step_photo.stored.transients_known && self.robust.shares()[step_photo.view] > 0.0
+        step_photo.stored.transient_share(self.robust.shares()[step_photo.view]) > 0.0
     }
 
     /// The background, in the scene's colours.

@@ -256,6 +256,11 @@ impl Stored {
         Ok(Stored { levels, has_sky, transients_known: transients.is_some() })
     }
 
+    /// Of the most of it that may be transients, what transients are still searched for in: nothing where they are known.
+    pub fn transient_share(&self, most: f32) -> f32 {
+        if self.transients_known { 0.0 } else { most }
+    }
+
     fn bytes(&self) -> usize {
         self.levels.iter().map(|l| l.rgb.len() + l.flags.len()).sum()
     }

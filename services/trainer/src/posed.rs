@@ -1,7 +1,9 @@
 //! The views of a training: their cameras, poses and points.
 
 use crate::photos::{PhotoLevel, Stored};
-use segwild_scene::{Camera, Point, Pose, Scene, View};
+use segwild_objective::compare::{mean_difference, untrusted};
+use segwild_objective::transients::contradicted;
+use segwild_scene::{Camera, Image, Point, Pose, Scene, View};
 
 /// Trust in the pixel of a point that the photo saw: a residual there counts for the rest.
 const TRUST: f32 = 0.9;
@@ -49,9 +51,19 @@ impl Posed {
 }
 
 impl Posed {
-    /// A residual, weighted by the missing trust of its pixel ([`Posed::trusted`]).
-    pub fn untrusted_residual(&self, residual: &[f32], photo: &PhotoLevel) -> Vec<f32> {
-        residual.iter().zip(self.trusted(photo)).map(|(r, t)| r * (1.0 - t)).collect()
+    /// How far a photo is from a render of its view: the mean absolute colour difference of each pixel, weighted by the missing
+    /// trust in it ([`Posed::trusted`]).
+    pub fn residual(&self, shown: &Image, photo: &PhotoLevel) -> Vec<f32> {
+        untrusted(&mean_difference(shown, &photo.image()), &self.trusted(photo))
+    }
+
+    /// Per pixel, whether a photo contradicts a render of its view. `share` is the most of the photo that may be transients;
+    /// at 0 it contradicts nothing.
+    pub fn contradicted(&self, shown: &Image, photo: &PhotoLevel, share: f32) -> Vec<bool> {
+        if share <= 0.0 {
+            return vec![false; photo.pixels()];
+        }
+        contradicted(&self.residual(shown, photo), photo.width, |i| photo.counts(i), share)
     }
 
     /// Number of points that it saw.

@@ -156,6 +156,11 @@ impl TrainSettings {
         }
     }
 
+    /// The most of a photo that may be transients.
+    pub(crate) fn transient_share(&self) -> f32 {
+        if self.robust { self.robust_share } else { 0.0 }
+    }
+
     /// With the number of steps for the scene's photos, where that is left to the scene.
     #[must_use]
     pub fn decided(&self, scene: &Scene) -> TrainSettings {

@@ -10,9 +10,9 @@ use crate::photometric::StepPhoto;
 use crate::pixels::{at_centres, first_background};
 use crate::state::mean_quality;
 use crate::trainer::{StepReport, Trainer};
-use segwild_objective::compare::{self, Compared, LeaveOut, LossOutput, PerceptualLoss, mean_difference};
+use segwild_objective::compare::{self, Compared, LeaveOut, LossOutput, PerceptualLoss};
 use segwild_objective::transients::VisibilityMap;
-use segwild_objective::{AnyAppearance, AppearanceMaps, transients};
+use segwild_objective::{AnyAppearance, AppearanceMaps};
 use segwild_raster::{Channels, FrameGrad};
 use segwild_scene::{Image, Splats};
 
@@ -156,10 +156,8 @@ impl Trainer {
             let painter = self.state.painter(view);
             let rendered = painter.render(&self.state.params, &*projected, &pose, None)?;
             let shown = painter.show(&rendered.frame, &camera, &pose);
-            let residual =
-                self.views[view].untrusted_residual(&mean_difference(&shown, &photo.image()), photo);
-            let share = if stored.transients_known { 0.0 } else { self.state.robust.shares()[view] };
-            let contradicted = transients::contradicted(&residual, photo.width, |i| photo.counts(i), share);
+            let share = stored.transient_share(self.state.robust.shares()[view]);
+            let contradicted = self.views[view].contradicted(&shown, photo, share);
             multi_view_pruning.add_photo(&*projected, photo.width, &contradicted, |i| photo.counts(i))?;
         }
         drop(resident);

@@ -4,7 +4,7 @@ use crate::TrainError;
 use crate::model::{Model, render_view};
 use crate::photos::{Stored, TrainPhoto};
 use crate::posed::posed_view;
-use segwild_objective::compare::{mean_difference, weighted_psnr};
+use segwild_objective::compare::weighted_psnr;
 use segwild_objective::transients::{limit, smoothed};
 use segwild_raster::Rasterizer;
 use segwild_scene::{Image, Scene};
@@ -43,10 +43,9 @@ pub fn transient_evidence(
     let (w, h) = (level.width, level.height);
     let camera = stored.camera(&posed.camera, 0);
     let shown = render_view(model, engine, &camera, &posed.pose, Some(view))?;
-    let target = level.image();
     let weights: Vec<f32> = (0..w * h).map(|i| f32::from(u8::from(level.counts(i)))).collect();
-    let psnr = weighted_psnr(&shown, &target, &weights);
-    let residual = posed.untrusted_residual(&mean_difference(&shown, &target), level);
+    let psnr = weighted_psnr(&shown, &level.image(), &weights);
+    let residual = posed.residual(&shown, level);
     let smooth = smoothed(&residual, w);
     let limit = if share > 0.0 { limit(&smooth, |i| level.counts(i), share) } else { None };
     let Some(limit) = limit else {

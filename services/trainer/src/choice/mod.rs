@@ -14,8 +14,6 @@ use crate::photos::Stored;
 use crate::posed::{Posed, posed_view};
 use crate::{AppearanceModel, Photos, TrainError, TrainSettings, Trainer};
 use segwild_objective::Engine;
-use segwild_objective::compare::mean_difference;
-use segwild_objective::transients::contradicted;
 use segwild_scene::{Image, Scene};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -112,7 +110,7 @@ impl<'a> Trials<'a> {
     /// Trains once, and scores this fit and again all fits before it.
     fn fit(&mut self, settings: TrainSettings) -> Result<(), TrainError> {
         let (appearance, steps) = (settings.appearance_model, settings.steps);
-        let share = settings.robust.then_some(settings.robust_share);
+        let share = settings.transient_share();
         // Models and steps are compared by PSNR and SSIM: the short trainings go without the dear term of the loss.
         let settings = TrainSettings { lambda_lpips: 0.0, ..settings };
         let mut trainer = Trainer::new(self.engine.clone(), &self.scene, self.photos.clone(), settings)?;
@@ -132,17 +130,8 @@ impl<'a> Trials<'a> {
             let w = photo.width;
             let left = |i: usize| i % w < w / 2;
             let shown = render_unseen(&model, renderer, view, &held.photo, 0, Some(&left))?.shown;
-            let residual = held.posed.untrusted_residual(&mean_difference(&shown, &photo.image()), photo);
-            match share {
-                Some(share) => {
-                    let against = contradicted(&residual, w, |i| photo.counts(i), share);
-                    held.transient
-                        .iter_mut()
-                        .zip(against)
-                        .for_each(|(transient, against)| *transient &= against);
-                }
-                None => held.transient.fill(false),
-            }
+            let against = held.posed.contradicted(&shown, photo, share);
+            held.transient.iter_mut().zip(against).for_each(|(transient, against)| *transient &= against);
             held.renders.push(shown);
         }
         for (k, fit) in self.fits.iter_mut().enumerate() {

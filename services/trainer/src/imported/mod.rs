@@ -207,7 +207,7 @@ impl<'a> Fitter<'a> {
             let reasons = self.skipped.iter().take(3).map(|s| format!("`{}`: {}", s.name, s.reason));
             return Err(TrainError::NoPhotos(reasons.collect::<Vec<_>>().join("; ")));
         }
-        let share = if self.settings.robust { self.settings.robust_share } else { 0.0 };
+        let share = self.settings.transient_share();
         let shown = |view: usize| if backgrounds[view].is_some() { share } else { 0.0 };
         let psnr = quality.iter().sum::<f32>() / quality.len() as f32;
         Ok(Model {
