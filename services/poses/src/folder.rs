@@ -7,7 +7,7 @@ use crate::record::{FileStamp, PosesRecord};
 use crate::{PoseSettings, PoseSource, PosesError};
 use rayon::prelude::*;
 use segwild_flow::Key;
-use segwild_scene::{PosedPhotos, SceneError, SceneSettings, UnposedPhotos};
+use segwild_scene::{PosedPhotos, SceneError, SceneSettings, UnposedPhotos, few_of_photos};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -174,8 +174,7 @@ impl PoseInputs {
         all.extend(gone.map(|name| format!("{name} is gone")));
         match all.len() {
             0 => vec!["its settings or the video have changed".into()],
-            1..=3 => all,
-            n => vec![format!("{} and {} more photos", all[..2].join(", "), n - 2)],
+            _ => few_of_photos(all),
         }
     }
 

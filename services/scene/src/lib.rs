@@ -51,6 +51,7 @@ mod mask_files;
 mod mask_image;
 mod morphology;
 mod names;
+mod naming;
 mod open;
 mod orientation;
 mod packed_photo;
@@ -90,6 +91,7 @@ pub use import::{ImportedSplats, ReadSplats, SplatFile, SplatLayout, SplatWriter
 pub use logistic::{logit, sigmoid};
 pub use mask::{Mask, MaskSet, ScoredMask};
 pub use mask_files::{MaskFileError, MaskFiles};
+pub use naming::{few_of_photos, first_named, named_and_counted};
 pub use packed_photo::{PackedPhoto, PhotoCache};
 pub use photo::{LoadedPhoto, load_photo};
 pub use photo_store::PhotoStore;

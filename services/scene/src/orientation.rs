@@ -14,6 +14,7 @@
 
 use crate::colourless::colourless;
 use crate::decode::before_turn;
+use crate::naming::first_named;
 use crate::photo::{DEAR, sample};
 use crate::statistics::upper_median;
 use crate::{DARKEST, Image, NEAR, Point, View};
@@ -249,7 +250,7 @@ fn listed(names: &[&str]) -> String {
     match names.len() {
         1 => format!("photo {}", names[0]),
         2..=NAMED => format!("photos {}", names.join(", ")),
-        n => format!("{n} photos ({}, ...)", names[..3].join(", ")),
+        n => format!("{n} photos ({})", first_named(names)),
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::decode::{MEGAPIXELS, pixels_of};
 use crate::names::{key, last_part, stem};
+use crate::naming::first_named;
 use crate::{Camera, ImportedSplats, NEAR, Pose, SceneFrame};
 use glam::{Vec2, Vec3};
 use std::collections::HashMap;
@@ -113,7 +114,7 @@ impl Skipped {
         }
         let words = |(reason, names): (&str, Vec<&str>)| match names.len() {
             0..=NAMED => names.iter().map(|n| format!("photo {n} is left out: {reason}")).collect(),
-            n => vec![format!("{n} photos are left out ({}, ...): {reason}", names[..3].join(", "))],
+            n => vec![format!("{n} photos are left out ({}): {reason}", first_named(&names))],
         };
         reasons.into_iter().flat_map(words).collect()
     }

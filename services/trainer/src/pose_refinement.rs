@@ -7,7 +7,7 @@ use crate::poses_by_points::GOOD;
 use crate::refined_pose::{RefinedBy, RefinedPose};
 use crate::trainer::Trainer;
 use crate::{AppearanceModel, TrainError};
-use segwild_scene::{Camera, Pose};
+use segwild_scene::{Camera, Pose, first_named};
 
 /// A photo is not aligned farther than this from its given pose, as a share of its long side: what it shows would be elsewhere in
 /// the scene.
@@ -15,8 +15,6 @@ const FARTHEST: f32 = 0.05;
 /// Nor is it moved by less than this, in pixels at the size trained at: photos with good poses move by up to .35 px
 /// (docs/experiments/2026-11-30-poses-that-are-off.md).
 const MIN_MOTION: f32 = 0.75;
-/// How many photos a sentence names.
-const NAMED: usize = 3;
 
 impl Trainer {
     /// Whether photos may be aligned to the splats.
@@ -123,11 +121,7 @@ impl Trainer {
     }
 
     fn some(&self, photos: &[(usize, String)]) -> String {
-        let named: Vec<String> = photos
-            .iter()
-            .take(NAMED)
-            .map(|(view, words)| format!("{} {words}", self.views[*view].name))
-            .collect();
-        named.join(", ") + if photos.len() > NAMED { ", .." } else { "" }
+        let name = |(view, words): &(usize, String)| format!("{} {words}", self.views[*view].name);
+        first_named(&photos.iter().map(name).collect::<Vec<_>>())
     }
 }

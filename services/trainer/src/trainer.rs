@@ -318,7 +318,9 @@ pub(crate) fn photo_cache(
     TrainPhotoCache::new(photos, names, settings.photo_cache_mib << 20)
 }
 
-fn no_photos(skipped: &[(String, String)]) -> TrainError {
+/// The error of a training none of whose photos can be used, by their names and reasons: the first three, and how many more
+/// there are.
+pub(crate) fn no_photos(skipped: &[(String, String)]) -> TrainError {
     if skipped.is_empty() {
         return TrainError::NoPhotos("the scene has none that is not held out".into());
     }

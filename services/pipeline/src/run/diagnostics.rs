@@ -2,8 +2,8 @@
 //! result would show the fault.
 
 use crate::SeenOnceShare;
-use segwild_scene::Scene;
 use segwild_scene::statistics::upper_median;
+use segwild_scene::{Scene, first_named};
 
 /// A scene needs this many photos: on a synthetic scene, 12 photos segment objects a quarter worse than 40.
 const FEW: usize = 15;
@@ -23,8 +23,6 @@ const UNLIKE: f32 = 19.0;
 const OVERFITTED: f32 = 8.0;
 /// Share of a photo's pixels from which it is named among those that alone show something. By choice.
 const SHOWN_ALONE: f32 = 0.01;
-/// How many photos a sentence names.
-const NAMED: usize = 3;
 
 /// Warnings about the scene, a sentence each, with what to do.
 pub(crate) fn diagnose(scene: &Scene) -> Vec<String> {
@@ -58,7 +56,7 @@ pub(crate) fn copies(scene: &Scene, digests: &[Option<&str>]) -> Option<String> 
         format!(
             "{} photos are copies of others and show nothing new ({}): leave them out",
             copies.len(),
-            some(&copies)
+            first_named(&copies)
         )
     })
 }
@@ -95,7 +93,7 @@ fn misfit(scene: &Scene) -> Vec<String> {
             words.push(format!(
                 "the camera pose of {} photos does not fit the points ({}): leave them out",
                 odd.len(),
-                some(&odd)
+                first_named(&odd)
             ));
         }
         let share = astray as f32 / tracked.max(1) as f32;
@@ -161,7 +159,7 @@ pub(crate) fn seen_once(share: &SeenOnceShare) -> Option<String> {
     let most = if named.is_empty() {
         String::new()
     } else {
-        format!("; most of them are in {}, as shares of the pixels", some(&named))
+        format!("; most of them are in {}, as shares of the pixels", first_named(&named))
     };
     (share.splats > 0.0).then(|| {
         format!(
@@ -169,11 +167,6 @@ pub(crate) fn seen_once(share: &SeenOnceShare) -> Option<String> {
             100.0 * share.splats
         )
     })
-}
-
-fn some(names: &[String]) -> String {
-    let more = if names.len() > NAMED { ", .." } else { "" };
-    names[..names.len().min(NAMED)].join(", ") + more
 }
 
 #[cfg(test)]

@@ -15,6 +15,7 @@ use crate::code;
 use crate::{RunError, RunFolder, Settings, Until};
 use segwild_flow::ledger::{StageRow, State};
 use segwild_flow::{Cache, Key, Ledger};
+use segwild_scene::{few_of_photos, named_and_counted};
 use segwild_vision::VisionSettings;
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -186,10 +187,8 @@ impl Before {
     fn tried_again(&self) -> String {
         let name =
             |(stage, view): &(Stage, usize)| format!("{stage} of {}", self.then.scene.views[*view].name);
-        let names: Vec<String> = self.given_up.iter().take(3).map(name).collect();
-        let more = self.given_up.len().saturating_sub(names.len());
-        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-        format!("given up before and tried again: {}{more}", names.join(", "))
+        let names: Vec<String> = self.given_up.iter().map(name).collect();
+        format!("given up before and tried again: {}", named_and_counted(&names))
     }
 
     fn why(
@@ -261,8 +260,7 @@ impl Before {
                 None if !self.networks.is_empty() => self.networks.join("; "),
                 None => "points, cameras or masks of transients have changed, or the run was made by another version".into(),
             },
-            1..=3 => odd.join(", "),
-            n => format!("{} and {} more photos", odd[..2].join(", "), n - 2),
+            _ => few_of_photos(odd).join(", "),
         })
     }
 }

@@ -4,7 +4,7 @@ use super::authorship::{self, FOLDER, MaskImage, WrittenMasks, image_files, pixe
 use crate::artifacts::digests::PhotoRefusal;
 use crate::artifacts::images::{OtherShape, check_shape};
 use crate::{RunError, RunFolder};
-use segwild_scene::{Mask, MaskFileError, MaskFiles, Scene, SceneError, View};
+use segwild_scene::{Mask, MaskFileError, MaskFiles, Scene, SceneError, View, named_and_counted};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -143,12 +143,8 @@ impl Corrections {
             .filter(|&view| self.found[view].is_some())
             .map(|view| scene.views[view].name.as_str())
             .collect();
-        let listed = names.iter().take(3).copied().collect::<Vec<_>>().join(", ");
-        match names.len() {
-            0 => None,
-            1..=3 => Some(format!("transients as they were put right by hand: {listed}")),
-            n => Some(format!("transients as they were put right by hand: {listed} and {} more", n - 3)),
-        }
+        (!names.is_empty())
+            .then(|| format!("transients as they were put right by hand: {}", named_and_counted(&names)))
     }
 }
 

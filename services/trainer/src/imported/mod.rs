@@ -9,7 +9,7 @@ use crate::evaluate::{background_of, score};
 use crate::model::{self, Model, Stats};
 use crate::photos::{PhotoLevel, Photos, Stored, TrainPhotoCache};
 use crate::pixels::first_background;
-use crate::trainer::photo_cache;
+use crate::trainer::{no_photos, photo_cache};
 use crate::{AppearanceModel, TrainError, TrainSettings};
 use segwild_objective::background::{Background, PRIOR};
 use segwild_objective::{AffineAppearance, AnyAppearance, Engine, NoAppearance};
@@ -204,8 +204,8 @@ impl<'a> Fitter<'a> {
         }
         drop(resident);
         if trained_on.is_empty() {
-            let reasons = self.skipped.iter().take(3).map(|s| format!("`{}`: {}", s.name, s.reason));
-            return Err(TrainError::NoPhotos(reasons.collect::<Vec<_>>().join("; ")));
+            let skipped = std::mem::take(&mut self.skipped).into_iter();
+            return Err(no_photos(&skipped.map(|s| (s.name, s.reason)).collect::<Vec<_>>()));
         }
         let share = self.settings.transient_share();
         let shown = |view: usize| if backgrounds[view].is_some() { share } else { 0.0 };
