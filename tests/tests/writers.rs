@@ -92,7 +92,7 @@ const MAY_READ: [(&str, &str, &str); 5] = [
     ("services/farm/src/manifest/mod.rs", "std::fs::read(file)", "a person may name a pipe"),
     ("services/farm/src/machine.rs", "read_to_string(file)", "the kernel's limits of the control group"),
     ("services/flow/src/process.rs", "file.read_to_string(", "the lock that this program holds itself"),
-    ("services/pipeline/src/settings.rs", "std::fs::read(file)", "a person may name a pipe"),
+    ("services/pipeline/src/settings/layers.rs", "std::fs::read(file)", "a person may name a pipe"),
     ("services/scene/src/export/mod.rs", "&beside", "the note beside an export, which this program writes"),
 ];
 
