@@ -113,6 +113,122 @@ impl End {
     }
 }
 
+/// What the keys of a run are made from.
+struct KeyInputs<'a> {
+    scene: &'a Scene,
+    /// Per view, the hash of the photo's bytes; the reason where they cannot be read.
+    photos: &'a [Result<String, PhotoRefusal>],
+    /// The hash of imported splats.
+    imported: Option<&'a str>,
+    /// The hash of the weights of LPIPS.
+    lpips: Option<&'a str>,
+    settings: &'a Settings,
+    providers: &'a Providers,
+}
+
+impl KeyInputs<'_> {
+    /// Of what a model makes of a photo.
+    fn photo(&self, domain: &'static str, view: usize, model: &str) -> Key {
+        let digest = self.photos[view].as_ref().map_or("unreadable", String::as_str);
+        photo_key(domain, digest, &self.scene.views[view], self.settings.scene.size, model)
+    }
+
+    fn sky(&self, view: usize) -> Key {
+        let key = self.photo("sky", view, &self.providers.sky.key());
+        if !self.providers.sky.by_points() {
+            return key;
+        }
+        let seen = self.scene.points_in(view, 1, 1);
+        Key::of("sky").key("photo", &key).part("points", format!("{seen:?}")).finish()
+    }
+
+    /// Of what is chosen before the training.
+    fn choice(&self, engine: &str, sky: &[Key]) -> Key {
+        let mut choice = Key::of("choice").value("format", TRAINING).part("engine", engine);
+        choice = match self.imported {
+            None => choice.part("settings", text::<TrainSettings>(self.settings)),
+            Some(imported) => {
+                choice.part("imported", imported).part("settings", of_import(&self.settings.train))
+            }
+        };
+        choice = choice.part("points", points_digest(self.scene));
+        for (i, view) in self.scene.views.iter().enumerate() {
+            choice = choice
+                .part(&format!("view {i}"), format!("{} {:?} {}", view.name, view.pose, view.test))
+                .key(&format!("sky {i}"), &sky[i]);
+        }
+        choice.finish()
+    }
+
+    /// Of a training from step 0. `known`: the people and vehicles of each photo, where a network finds them.
+    fn training(&self, choice: &Key, corrected: &[Option<&str>], known: Option<&[Key]>) -> Key {
+        let mut training = Key::of("geometry").key("choice", choice);
+        // No part without this term of the loss, so that keys of such runs stay as they were. What is chosen before the training
+        // is chosen without it.
+        let lambda_lpips = self.settings.train.lambda_lpips;
+        if lambda_lpips > 0.0 && self.imported.is_none() {
+            let weights = self.lpips.unwrap_or("none");
+            training = training.part("lpips", format!("{lambda_lpips} {weights}"));
+        }
+        for (i, view) in self.scene.views.iter().enumerate() {
+            // No part where nothing is known, so that keys of runs without corrections stay as they were.
+            match (corrected.get(i).copied().flatten().filter(|_| !view.test), known) {
+                (Some(digest), _) => training = training.part(&format!("transients {i}"), digest),
+                (None, Some(known)) => training = training.key(&format!("transients {i}"), &known[i]),
+                (None, None) => {}
+            }
+        }
+        training.finish()
+    }
+
+    fn masks(&self, view: usize, snapshot: &Key, sky: &Key) -> Key {
+        let key = Key::of("masks")
+            .value("format", FORMAT)
+            .part("settings", text::<MaskSettings>(self.settings))
+            .part("model", self.providers.proposer.key())
+            .key("snapshot", snapshot)
+            .key("sky", sky)
+            .value("view", view);
+        match self.settings.masks.mask_source {
+            MaskSource::Render => key.finish(),
+            MaskSource::Photo => key.key("photo", &self.photo("photo", view, "")).finish(),
+        }
+    }
+
+    fn visibility(&self, view: usize, geometry: &Key, sky: &Key) -> Key {
+        Key::of("visibility")
+            .key("geometry", geometry)
+            .key("sky", sky)
+            .key("photo", &self.photo("photo", view, ""))
+            .value("view", view)
+            .finish()
+    }
+
+    fn features(&self, geometry: &Key, embedding: &[Key], masks: &[Key]) -> Key {
+        let mut features = Key::of("features")
+            .value("format", FORMAT)
+            .part("settings", text::<FeatureSettings>(self.settings))
+            .key("geometry", geometry);
+        for (i, embedding) in embedding.iter().enumerate() {
+            features = features.key(&format!("embedding {i}"), embedding);
+            if self.settings.features.compactness {
+                features = features.key(&format!("masks {i}"), &masks[i]);
+            }
+        }
+        features.finish()
+    }
+
+    fn evaluation(&self, geometry: &Key) -> Key {
+        let key = Key::of("evaluate")
+            .key("geometry", geometry)
+            .part("protocol", format!("{:?}", self.settings.protocol(false)));
+        match self.lpips {
+            Some(digest) => key.part("lpips", digest).finish(),
+            None => key.finish(),
+        }
+    }
+}
+
 impl Keys {
     /// The keys of everything that a run with these settings makes. `corrected`: per view, the hash of the mask of its
     /// transients that a person has corrected.
@@ -125,60 +241,24 @@ impl Keys {
         engine: &str,
         end: &End,
     ) -> Keys {
-        let photo = |domain: &'static str, i: usize, model: &str| {
-            let digest = digests[i].as_ref().map_or("unreadable", String::as_str);
-            photo_key(domain, digest, &scene.views[i], settings.scene.size, model)
+        let inputs = KeyInputs {
+            scene,
+            photos: &digests,
+            imported: imported.as_deref(),
+            lpips: lpips.as_ref().map(|file| file.digest.as_str()),
+            settings,
+            providers,
         };
         let views = 0..scene.views.len();
-        let sky: Vec<Key> = views
-            .clone()
-            .map(|i| {
-                let key = photo("sky", i, &providers.sky.key());
-                if !providers.sky.by_points() {
-                    return key;
-                }
-                let seen = scene.points_in(i, 1, 1);
-                Key::of("sky").key("photo", &key).part("points", format!("{seen:?}")).finish()
-            })
-            .collect();
-        let embedding: Vec<Key> =
-            views.clone().map(|i| photo("embedding", i, &providers.embedder.key())).collect();
-
+        let per_view = |key: &dyn Fn(usize) -> Key| -> Vec<Key> { views.clone().map(key).collect() };
+        let sky = per_view(&|view| inputs.sky(view));
+        let embedding = per_view(&|view| inputs.photo("embedding", view, &providers.embedder.key()));
         let network = providers.transients.as_ref().map(|network| network.key());
-        let known_transients: Vec<Key> =
-            views.clone().map(|i| photo("transients", i, network.as_deref().unwrap_or("none"))).collect();
+        let finder = network.as_deref().unwrap_or("none");
+        let known_transients = per_view(&|view| inputs.photo("transients", view, finder));
 
-        let mut choice = Key::of("choice").value("format", TRAINING).part("engine", engine);
-        choice = match &imported {
-            None => choice.part("settings", text::<TrainSettings>(settings)),
-            Some(imported) => choice.part("imported", imported).part("settings", of_import(&settings.train)),
-        };
-        choice = choice.part("points", points_digest(scene));
-        for (i, view) in scene.views.iter().enumerate() {
-            choice = choice
-                .part(&format!("view {i}"), format!("{} {:?} {}", view.name, view.pose, view.test))
-                .key(&format!("sky {i}"), &sky[i]);
-        }
-        let choice = choice.finish();
-        let mut training = Key::of("geometry").key("choice", &choice);
-        let lpips = lpips.as_ref().map(|file| file.digest.as_str());
-        // No part without this term of the loss, so that keys of such runs stay as they were. What is chosen before the training
-        // is chosen without it.
-        if settings.train.lambda_lpips > 0.0 && imported.is_none() {
-            let weights = lpips.unwrap_or("none");
-            training = training.part("lpips", format!("{} {weights}", settings.train.lambda_lpips));
-        }
-        for (i, view) in scene.views.iter().enumerate() {
-            // No part where nothing is known, so that keys of runs without corrections stay as they were.
-            match corrected.get(i).copied().flatten().filter(|_| !view.test) {
-                Some(digest) => training = training.part(&format!("transients {i}"), digest),
-                None if network.is_some() => {
-                    training = training.key(&format!("transients {i}"), &known_transients[i]);
-                }
-                None => {}
-            }
-        }
-        let whole = training.finish();
+        let choice = inputs.choice(engine, &sky);
+        let whole = inputs.training(&choice, corrected, network.is_some().then_some(&known_transients[..]));
         let training = match end {
             End::ContinuedTraining(origin) => Key::of("geometry")
                 .key("whole", &whole)
@@ -198,48 +278,15 @@ impl Keys {
             End::ContinuedTraining(origin) => origin.snapshot,
             _ => snapshot_of(&training, settings.train.snapshot_step()),
         };
-        let masks: Vec<Key> = views
-            .clone()
-            .map(|i| {
-                let key = Key::of("masks")
-                    .value("format", FORMAT)
-                    .part("settings", text::<MaskSettings>(settings))
-                    .part("model", providers.proposer.key())
-                    .key("snapshot", &snapshot)
-                    .key("sky", &sky[i])
-                    .value("view", i);
-                match settings.masks.mask_source {
-                    MaskSource::Render => key.finish(),
-                    MaskSource::Photo => key.key("photo", &photo("photo", i, "")).finish(),
-                }
-            })
-            .collect();
-        let visibility = views
-            .clone()
-            .map(|i| {
-                Key::of("visibility")
-                    .key("geometry", &geometry)
-                    .key("sky", &sky[i])
-                    .key("photo", &photo("photo", i, ""))
-                    .value("view", i)
-                    .finish()
-            })
-            .collect();
+        let masks = per_view(&|view| inputs.masks(view, &snapshot, &sky[view]));
+        let visibility = per_view(&|view| inputs.visibility(view, &geometry, &sky[view]));
+        let features = inputs.features(&geometry, &embedding, &masks);
+        let evaluation = inputs.evaluation(&geometry);
         let takes_part = |i: &usize| !scene.views[*i].test && digests[*i].is_ok();
         let masked: Option<BTreeMap<usize, bool>> = match providers.segmenter.finds_objects() {
             true => Some(views.clone().filter(takes_part).map(|i| (i, true)).collect()),
             false => None,
         };
-        let mut features = Key::of("features")
-            .value("format", FORMAT)
-            .part("settings", text::<FeatureSettings>(settings))
-            .key("geometry", &geometry);
-        for i in views {
-            features = features.key(&format!("embedding {i}"), &embedding[i]);
-            if settings.features.compactness {
-                features = features.key(&format!("masks {i}"), &masks[i]);
-            }
-        }
         Keys {
             digests,
             sky,
@@ -251,19 +298,11 @@ impl Keys {
             masks,
             visibility,
             known_transients,
-            features: features.finish(),
+            features,
             masks_in_field: settings.features.compactness,
             snapshot_step: settings.train.snapshot_step(),
             history: history_of(&geometry.to_string()),
-            evaluation: lpips
-                .iter()
-                .fold(
-                    Key::of("evaluate")
-                        .key("geometry", &geometry)
-                        .part("protocol", format!("{:?}", settings.protocol(false))),
-                    |key, digest| key.part("lpips", digest),
-                )
-                .finish(),
+            evaluation,
             segmenter: providers.segmenter.key(),
             masked,
         }
