@@ -1,10 +1,13 @@
 //! The actor of the segmenter. It keeps the scene and its neighbour graph, so that the next click is quick.
 
+use crate::confidence::TreeOpinion;
+use crate::photo_agreement::measure;
 use crate::scene_tree::{CorrectedLeaves, GroupCandidate, SceneTree};
 use crate::tree_answer::{self, TreeAnswer};
 use crate::{
     Alternative, AnswerStep, AnswerSteps, MaskReader, NeighbourGraph, PosedView, PromptedView, Refiner,
-    Request, SegmentError, SegmentSettings, Selection, SpikeCut, SplatFeatures, cut, select,
+    Request, SegmentError, SegmentSettings, Selection, SelectionConfidence, SpikeCut, SplatFeatures, cut,
+    select,
 };
 use segwild_flow::{Actor, ActorFailure, Context, Message, Phase, Sender, Stopper, lock};
 use segwild_objective::Engine;
@@ -50,6 +53,8 @@ pub struct Segmented {
     pub expected_iou: Option<f32>,
     /// What the clicks may select, in the order of [`SegmentSettings::alternative`]. Empty where the scene tree took no part.
     pub alternatives: Vec<Alternative>,
+    /// How sure the selection is.
+    pub confidence: SelectionConfidence,
 }
 
 /// The answers to a [`SegmentTask`].
@@ -152,7 +157,7 @@ impl SegmentActor {
             steps: Some(&steps),
             settings: &task.settings,
         };
-        let TreeAnswer { group, alternatives } = match (&self.tree, &task.group) {
+        let TreeAnswer { group, alternatives, other } = match (&self.tree, &task.group) {
             (Some(tree), Some(meant)) => {
                 let photos_of = tree_answer::OutlinedPhotos {
                     clicks: &task.prompts,
@@ -163,7 +168,7 @@ impl SegmentActor {
                 let leaves = CorrectedLeaves::uncorrected(tree.leaves_of(meant));
                 let outlined = tree_answer::GroupAnswer::of(&blank, tree, &leaves, meant.score, &photos_of)?;
                 let group = outlined.ok_or(SegmentError::NothingSelected { reason: NOWHERE })?;
-                TreeAnswer { group: Some(group), alternatives: Vec::new() }
+                TreeAnswer { group: Some(group), ..TreeAnswer::default() }
             }
             (Some(tree), None) => {
                 tree_answer::answer(&blank, tree, &task.prompts, &photos, &*self.segmenter)?
@@ -218,8 +223,15 @@ impl SegmentActor {
             None => own.into_iter().map(|found| Some(found.answer)).collect(),
         };
         let meant = task.prompts.iter().zip(masks).filter(|((_, prompts), _)| !refuses(prompts));
-        let masks = meant.filter_map(|((view, _), mask)| Some((*view, mask?))).collect();
-        Ok(Segmented { selection, cut, masks, expected_iou, alternatives })
+        let masks: Vec<(usize, ScoredMask)> =
+            meant.filter_map(|((view, _), mask)| Some((*view, mask?))).collect();
+        let photos = measure(&blank, &selection, &cut, &masks)?;
+        let iou_with =
+            |(tree, other): (&Arc<SceneTree>, Vec<bool>)| tree.light_iou(&selection.labels, &other);
+        let levels_agreement = self.tree.as_ref().zip(other).map(iou_with);
+        let opinion = TreeOpinion { expected_iou, levels_agreement };
+        let confidence = SelectionConfidence::of(&photos, opinion, task.settings.propagate_gate);
+        Ok(Segmented { selection, cut, masks, expected_iou, alternatives, confidence })
     }
 }
 

@@ -24,6 +24,7 @@
 mod actor;
 mod box_bounds;
 mod components;
+mod confidence;
 pub mod coverage;
 mod depth_layers;
 mod error;
@@ -34,6 +35,7 @@ mod maxflow;
 mod multi_view_cut;
 mod object;
 mod occlusion;
+mod photo_agreement;
 mod photo_evidence;
 mod propagate;
 mod query;
@@ -45,6 +47,7 @@ mod seen_once;
 mod select;
 mod settings;
 mod sgc;
+mod sides;
 mod smooth;
 mod spread;
 mod steps;
@@ -53,12 +56,14 @@ mod thin_structures;
 mod tree_answer;
 
 pub use actor::{PhotoReader, SegmentActor, SegmentReply, SegmentTask, Segmented};
+pub use confidence::{Lopsided, SelectionConfidence};
 pub use coverage::Evidence;
 pub use error::SegmentError;
 pub use graph::NeighbourGraph;
 pub use maxflow::FlowNetwork;
 pub use multi_view_cut::MaskVote;
 pub use object::{MaskMode, SelectedObject, amodal_mask, cut_scene, owned, visible_mask};
+pub use photo_agreement::PhotoAgreement;
 pub use propagate::{PhotoVerdict, PhotoVisit};
 pub use query::{ClickHit, SplatFeatures, SplatFeatures as FeatureField, hit};
 pub use refiner::Refiner;
@@ -69,6 +74,7 @@ pub use settings::{
     Vote,
 };
 pub use sgc::{CutView, SpikeCut, SplatGeometry};
+pub use sides::{ShownSide, SideAgreement};
 pub use smooth::graph_cut;
 pub use spread::{Belief, spread};
 pub use steps::{AnswerStep, AnswerSteps};

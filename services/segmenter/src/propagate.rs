@@ -81,16 +81,24 @@ pub struct PhotoVisit {
     pub agreement: f32,
     /// The refined mask, where it counts.
     pub mask: Option<Mask>,
+    /// The refined mask, where it does not count.
+    pub refused: Option<Mask>,
     /// How well the view sees each splat, in 1/255 of a view that sees it whole; empty where the mask does not count.
     pub visibility: Vec<u8>,
 }
 
 impl PhotoVisit {
+    /// The refined mask, whether it counts or not; `None` where there was none.
+    pub fn own_mask(&self) -> Option<&Mask> {
+        self.mask.as_ref().or(self.refused.as_ref())
+    }
+
     /// The same photo where it must not count.
     pub(crate) fn disregarded(self) -> PhotoVisit {
         let verdict =
             if self.verdict == PhotoVerdict::Accepted { PhotoVerdict::Disagrees } else { self.verdict };
-        PhotoVisit { verdict, mask: None, visibility: Vec::new(), ..self }
+        let refused = self.mask.or(self.refused);
+        PhotoVisit { verdict, mask: None, refused, visibility: Vec::new(), ..self }
     }
 }
 
@@ -395,12 +403,13 @@ fn weigh_answer(
 ) -> Result<(PhotoVisit, Option<Evidence>), SegmentError> {
     let RefineQuery { view: index, camera, certainty, known, resembles } = query;
     let (index, view) = (*index, &request.views[*index]);
-    let verdict = |verdict, agreement| {
-        (PhotoVisit { view: index, verdict, agreement, mask: None, visibility: Vec::new() }, None)
+    let verdict = |verdict, agreement, refused| {
+        let visibility = Vec::new();
+        (PhotoVisit { view: index, verdict, agreement, mask: None, refused, visibility }, None)
     };
     let (mask, confidence) = match answer {
-        None => return Ok(verdict(PhotoVerdict::NotVisible, 0.0)),
-        Some(None) => return Ok(verdict(PhotoVerdict::Declined, 0.0)),
+        None => return Ok(verdict(PhotoVerdict::NotVisible, 0.0, None)),
+        Some(None) => return Ok(verdict(PhotoVerdict::Declined, 0.0, None)),
         Some(Some(refined)) => refined,
     };
     let inside = soft(&mask, camera.width, camera.height);
@@ -416,7 +425,8 @@ fn weigh_answer(
     let agreement = if either > 0.0 { (both / either) as f32 } else { 0.0 };
     let confidence = clean(confidence);
     if agreement < request.settings.propagate_gate || confidence == 0.0 {
-        return Ok(verdict(PhotoVerdict::Disagrees, agreement));
+        let refused = (confidence > 0.0).then_some(mask);
+        return Ok(verdict(PhotoVerdict::Disagrees, agreement, refused));
     }
     let trust = confidence * agreement;
     let weights: Vec<f32> = inside
@@ -436,10 +446,8 @@ fn weigh_answer(
     let seen = view_evidence(request, projected, view, camera, &mask, &weights)?;
     evidence.add(&seen, trust);
     let visibility = seen.visibility();
-    Ok((
-        PhotoVisit { view: index, verdict: PhotoVerdict::Accepted, agreement, mask: Some(mask), visibility },
-        Some(evidence),
-    ))
+    let (verdict, mask) = (PhotoVerdict::Accepted, Some(mask));
+    Ok((PhotoVisit { view: index, verdict, agreement, mask, refused: None, visibility }, Some(evidence)))
 }
 
 #[cfg(test)]

@@ -40,6 +40,8 @@ pub(crate) struct TreeAnswer {
     pub group: Option<GroupAnswer>,
     /// What the clicks may select, in the order of [`SegmentSettings::alternative`](crate::SegmentSettings::alternative).
     pub alternatives: Vec<Alternative>,
+    /// Whether each leaf belongs to the likeliest group that is not selected; `None` where there is none.
+    pub other: Option<Vec<bool>>,
 }
 
 /// A group of the scene tree as an answer.
@@ -136,14 +138,16 @@ pub(crate) fn answer(
         None => Alternative::Photo,
     };
     let alternatives = candidates.iter().map(named).collect();
-    let last = candidates.len() - 1;
-    let Some(chosen) = candidates[last.min(settings.alternative as usize)] else {
-        return Ok(TreeAnswer { group: None, alternatives });
+    let chosen_at = (candidates.len() - 1).min(settings.alternative as usize);
+    let mut others = candidates.iter().enumerate().filter(|(at, _)| *at != chosen_at);
+    let other = others.find_map(|(_, other)| *other).map(|other| corrected(other).selected);
+    let Some(chosen) = candidates[chosen_at] else {
+        return Ok(TreeAnswer { group: None, alternatives, other });
     };
     let answered = is_scene.then_some(prompt);
     let outlined = OutlinedPhotos { clicks, photos, segmenter, answered };
     let group = GroupAnswer::of(request, tree, &corrected(chosen), chosen.score, &outlined)?;
-    Ok(TreeAnswer { group, alternatives })
+    Ok(TreeAnswer { group, alternatives, other })
 }
 
 /// The leaves that clicks hit, in order, each with the number of its photo's prompts; `None` where a positive one hits none. A

@@ -60,6 +60,27 @@ impl SceneTree {
             && self.leaf.iter().all(|&leaf| leaf == NONE || (leaf as usize) < leaves)
     }
 
+    /// IoU of a selection of splats with one of leaves, by the light that the views see of each leaf, in [0, 1]. A leaf is selected
+    /// by the share of its splats.
+    pub(crate) fn light_iou(&self, labels: &[bool], leaves: &[bool]) -> f32 {
+        let mut counts = vec![[0u32; 2]; leaves.len()];
+        for (&leaf, &label) in self.leaf.iter().zip(labels).filter(|(leaf, _)| **leaf != NONE) {
+            let [all, selected] = &mut counts[leaf as usize];
+            *all += 1;
+            *selected += u32::from(label);
+        }
+        // Leaves have the same light in all trees.
+        let light = self.trees.first().map_or(&[][..], |tree| &tree.groups[..]);
+        let (mut both, mut either) = (0.0f64, 0.0f64);
+        for ((&[all, selected], &leaf), group) in counts.iter().zip(leaves).zip(light) {
+            let share = f64::from(selected) / f64::from(all.max(1));
+            let (light, other) = (f64::from(group.area), f64::from(u8::from(leaf)));
+            both += light * share.min(other);
+            either += light * share.max(other);
+        }
+        if either > 0.0 { (both / either) as f32 } else { 0.0 }
+    }
+
     /// Whether one photo alone shows each splat of the scene.
     pub fn seen_once(&self) -> Vec<bool> {
         self.shown_by.iter().map(|&photos| photos == 1).collect()

@@ -337,6 +337,7 @@ fn a_splat_far_from_the_object_gives_it_no_piece_though_masks_hold_half_of_it() 
         verdict: PhotoVerdict::Accepted,
         agreement: 1.0,
         mask: Some(mask.clone()),
+        refused: None,
         visibility: vec![255; n],
     };
     let selection = Selection {
