@@ -70,8 +70,8 @@ pub use refiner::Refiner;
 pub use request::{MaskReader, PosedView, PromptedView, Request};
 pub use select::{Selection, cut, select};
 pub use settings::{
-    ComponentRule, CutBy, EvidenceMode, FirstAnswer, SegmentSettings, SimilarityUse, SpikeMode, Undecided,
-    Vote,
+    ComponentRule, CutBy, EvidenceMode, FirstAnswer, SegmentSettings, SimilarityUse, SpikeMode,
+    TreeBoundaries, Undecided, Vote,
 };
 pub use sgc::{CutView, SpikeCut, SplatGeometry};
 pub use sides::{ShownSide, SideAgreement};

@@ -64,7 +64,9 @@ pub(crate) fn measure(
     let mut measured = Vec::new();
     for (index, mask, prompted) in prompted.chain(others) {
         request.wanted()?;
-        let Some(Compared { agreement, shown }) = compared(request, &labels, index, mask)? else { continue };
+        let Some(ComparedSilhouette { agreement, shown }) = compared(request, &labels, index, mask)? else {
+            continue;
+        };
         let posed = view(request, index)?;
         let direction = (posed.pose.centre() - middle).normalize_or_zero();
         measured.push(MeasuredPhoto { photo: posed.name.clone(), prompted, direction, agreement, shown });
@@ -82,7 +84,7 @@ fn middle(splats: &Splats, labels: &[bool]) -> Option<Vec3> {
 }
 
 /// A silhouette beside a mask.
-struct Compared {
+struct ComparedSilhouette {
     agreement: f32,
     shown: f32,
 }
@@ -93,7 +95,7 @@ fn compared(
     labels: &[bool],
     index: usize,
     mask: &Mask,
-) -> Result<Option<Compared>, SegmentError> {
+) -> Result<Option<ComparedSilhouette>, SegmentError> {
     let posed = view(request, index)?;
     let camera = posed.camera.scaled_to(AGREEMENT_SIZE);
     let (rasterizer, options) = (request.rasterizer, &request.options);
@@ -108,5 +110,5 @@ fn compared(
     if own.is_empty() && silhouette.is_empty() {
         return Ok(None);
     }
-    Ok(Some(Compared { agreement: own.iou(&silhouette) as f32, shown }))
+    Ok(Some(ComparedSilhouette { agreement: own.iou(&silhouette) as f32, shown }))
 }

@@ -86,11 +86,25 @@ segwild_scene::choice! {
     }
 }
 
+segwild_scene::choice! {
+    /// Which boundaries the trees are grown from that answer a click.
+    pub enum TreeBoundaries {
+        /// Those of the photos, those of the geometry, and both together: the candidates of all trees are pooled.
+        All = "all",
+        /// Those of the photos alone.
+        Photo = "photo",
+        /// Those of the geometry alone.
+        Geometry = "geometry"
+    }
+}
+
 segwild_scene::settings! {
     /// How clicks and masks become a selection of splats.
     pub struct SegmentSettings("segment", user: alternative propagate spikes object_appearance) {
         /// What the first answer to clicks comes from.
         first_answer: FirstAnswer = FirstAnswer::Tree,
+        /// Boundaries of the trees that answer the first click; further clicks correct the answer by all trees.
+        tree_boundaries: TreeBoundaries = TreeBoundaries::All,
         /// Which of the listed alternatives is selected.
         alternative: u32 = 0 => 0..=2,
         /// Least fused cosine similarity to the positive clicks, in [-1, 1] (paper, Eq. 28).

@@ -98,9 +98,10 @@ pub(crate) fn answer(
     let (prompt, start) = hit.remove(at);
     let corrections: Vec<LeafClick> = hit.into_iter().map(|(_, click)| click).collect();
     let granularity = clicks.iter().find_map(|(_, prompts)| prompts.granularity);
+    let boundaries = settings.tree_boundaries;
     let mut found = match granularity {
-        Some(granularity) => tree.candidates_of_size(start.leaf, granularity),
-        None => tree.candidates(start.leaf),
+        Some(granularity) => tree.candidates_of_size(start.leaf, granularity, boundaries),
+        None => tree.candidates(start.leaf, boundaries),
     };
     let is_scene = granularity.is_none() && found.first().is_some_and(|first| first.area > SCENE_AREA);
     if is_scene && !corrections.is_empty() {
@@ -109,7 +110,7 @@ pub(crate) fn answer(
         let alone = prompts.points.iter().copied().find(|point| point.inside);
         let alone = (*view, Prompts { points: alone.into_iter().collect(), ..Prompts::default() });
         let own = own_mask(request, &alone, &photos[prompt], segmenter)?;
-        found.splice(0..0, tree.most_alike(&start, &own.mask));
+        found.splice(0..0, tree.most_alike(&start, &own.mask, boundaries));
     }
     if found.is_empty() {
         return Ok(TreeAnswer::default());

@@ -4,7 +4,7 @@
 use super::query::expected;
 use super::tree::{Growth, TREES};
 use super::{GroupCandidate, NONE, SceneTree};
-use crate::PosedView;
+use crate::{PosedView, TreeBoundaries};
 use glam::Vec2;
 use segwild_raster::{CpuEngine, ProjectOptions, RasterError};
 use segwild_scene::{Mask, Splats};
@@ -108,14 +108,19 @@ impl CorrectedLeaves {
 
 impl SceneTree {
     /// The group that a click hits and that its photo shows most like a mask; `None` where none shows there.
-    pub fn most_alike(&self, click: &LeafClick, mask: &Mask) -> Option<GroupCandidate> {
+    pub fn most_alike(
+        &self,
+        click: &LeafClick,
+        mask: &Mask,
+        boundaries: TreeBoundaries,
+    ) -> Option<GroupCandidate> {
         let shown = click.shown.as_ref()?;
         let mask = mask.resized(shown.width, shown.height);
         let alike = |group: GroupCandidate| {
             let iou = shown.mask(&self.leaves_of(&group)).iou(&mask);
             (iou > 0.0).then_some((iou, group))
         };
-        let groups = self.groups_with(click.leaf).into_iter().filter_map(alike);
+        let groups = self.groups_with(click.leaf, boundaries).into_iter().filter_map(alike);
         groups.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, group)| group)
     }
 

@@ -2,7 +2,7 @@
 
 use super::tree::{Growth, TREES};
 use super::{GroupTree, MergeTree, NONE, SceneTree};
-use crate::ClickHit;
+use crate::{ClickHit, TreeBoundaries};
 
 /// Candidates that a query answers with, at most.
 const MAX_CANDIDATES: usize = 2;
@@ -89,14 +89,19 @@ impl SceneTree {
     }
 
     /// What a click on a leaf may select, the likeliest first.
-    pub fn candidates(&self, leaf: u32) -> Vec<GroupCandidate> {
-        apart(self.groups_with(leaf))
+    pub fn candidates(&self, leaf: u32, boundaries: TreeBoundaries) -> Vec<GroupCandidate> {
+        apart(self.groups_with(leaf, boundaries))
     }
 
     /// As [`SceneTree::candidates`], with those first whose size is near `granularity`: 0 is the smallest group that holds the
     /// leaf, 1 the largest; sizes are compared by their logarithms.
-    pub fn candidates_of_size(&self, leaf: u32, granularity: f32) -> Vec<GroupCandidate> {
-        let mut found = self.groups_with(leaf);
+    pub fn candidates_of_size(
+        &self,
+        leaf: u32,
+        granularity: f32,
+        boundaries: TreeBoundaries,
+    ) -> Vec<GroupCandidate> {
+        let mut found = self.groups_with(leaf, boundaries);
         let sizes = || found.iter().map(|c| c.area.ln());
         let (least, most) = (sizes().fold(f32::MAX, f32::min), sizes().fold(f32::MIN, f32::max));
         let far = |c: &GroupCandidate| {
@@ -108,10 +113,11 @@ impl SceneTree {
         apart(found)
     }
 
-    /// Groups that hold a leaf, the likeliest first.
-    pub(super) fn groups_with(&self, leaf: u32) -> Vec<GroupCandidate> {
+    /// Groups that hold a leaf in the trees of some boundaries, the likeliest first.
+    pub(super) fn groups_with(&self, leaf: u32, boundaries: TreeBoundaries) -> Vec<GroupCandidate> {
         let mut found = Vec::new();
-        for (number, tree) in self.trees.iter().enumerate() {
+        let queried = |(number, _): &(usize, &GroupTree)| takes_part(boundaries, TREES[*number].0);
+        for (number, tree) in self.trees.iter().enumerate().filter(queried) {
             for (node, gap) in tree.large_groups_with(leaf) {
                 let score = expected(tree, node, gap, TREES[number].1 == Growth::Average);
                 let area = tree.groups[node as usize].area;
@@ -140,6 +146,15 @@ impl SceneTree {
     /// Whether each splat of the scene belongs to a candidate.
     pub fn labels(&self, candidate: &GroupCandidate) -> Vec<bool> {
         self.splats_of(&self.leaves_of(candidate))
+    }
+}
+
+/// Whether trees of a cue answer, by what [`CUES`](super::CUES) are: both, the photo, the geometry.
+fn takes_part(boundaries: TreeBoundaries, cue: usize) -> bool {
+    match boundaries {
+        TreeBoundaries::All => true,
+        TreeBoundaries::Photo => cue == 1,
+        TreeBoundaries::Geometry => cue == 2,
     }
 }
 

@@ -4,10 +4,10 @@ use crate::common::{TestRandom, TestWorld, engine, leaf, options, posed};
 use glam::Vec3;
 use segwild_raster::{NO_SPLAT, Rasterizer};
 use segwild_scene::Image;
-use segwild_segmenter::PosedView;
 use segwild_segmenter::scene_tree::{
     LeafClick, NONE, PartMap, SceneParts, SceneTree, ShownLeaves, TreeBuilder,
 };
+use segwild_segmenter::{PosedView, TreeBoundaries};
 
 const GREY: [f32; 3] = [0.5, 0.5, 0.5];
 
@@ -114,12 +114,27 @@ fn a_boundary_that_some_photos_lack_stays_and_one_that_few_have_goes() {
 fn a_click_chooses_the_block() {
     let (world, views) = (wall_scene(), cameras(1.0));
     let tree = tree(&world, &views, 0);
-    let found = tree.candidates(leaf(&tree, &world, &views[4], BLOCK));
+    let found = tree.candidates(leaf(&tree, &world, &views[4], BLOCK), TreeBoundaries::All);
     assert!((1..=2).contains(&found.len()));
     assert!(found.windows(2).all(|pair| pair[0].score >= pair[1].score));
     assert!(
         found.iter().any(|c| world.share(1, &tree.labels(c)) > 0.9 && world.share(0, &tree.labels(c)) < 0.1)
     );
+}
+
+#[test]
+fn boundaries_that_are_switched_off_answer_no_click() {
+    let (world, views) = (wall_scene(), cameras(1.0));
+    let tree = tree(&world, &views, 0);
+    let leaf = leaf(&tree, &world, &views[4], PRINT);
+    let answered_by = |boundaries: TreeBoundaries| -> Vec<usize> {
+        let of_sizes = [0.0, 0.5, 1.0].map(|g| tree.candidates_of_size(leaf, g, boundaries));
+        let found = of_sizes.into_iter().flatten().chain(tree.candidates(leaf, boundaries));
+        found.flat_map(|group| group.nodes).map(|(tree, _)| tree).collect()
+    };
+    let (photo, geometry) = (answered_by(TreeBoundaries::Photo), answered_by(TreeBoundaries::Geometry));
+    assert!(photo.len() >= 4 && photo.iter().all(|tree| *tree == 1), "{photo:?}");
+    assert!(geometry.len() >= 4 && geometry.iter().all(|tree| [2, 4].contains(tree)), "{geometry:?}");
 }
 
 /// A click on a point of the world, in the middle photo.
@@ -171,7 +186,7 @@ fn granularity_goes_from_the_print_to_the_wall_and_beyond() {
     let tree = tree(&world, &views, 0);
     let leaf = leaf(&tree, &world, &views[4], PRINT);
     let of_size = |g: f32| {
-        let found = tree.candidates_of_size(leaf, g);
+        let found = tree.candidates_of_size(leaf, g, TreeBoundaries::All);
         found.first().expect("a group holds the click").area
     };
     let areas: Vec<f32> = [0.0, 0.25, 0.5, 0.75, 1.0].map(of_size).to_vec();

@@ -50,9 +50,10 @@ impl Studio {
         let leaf =
             front.at(share[0], share[1]).map(|splat| tree.leaf[splat as usize]).filter(|leaf| *leaf != NONE);
         let Some(leaf) = leaf else { return Ok(None) };
+        let boundaries = self.settings.tree_boundaries;
         let found = match granularity {
-            Some(granularity) => tree.candidates_of_size(leaf, granularity),
-            None => tree.candidates(leaf),
+            Some(granularity) => tree.candidates_of_size(leaf, granularity, boundaries),
+            None => tree.candidates(leaf, boundaries),
         };
         let Some(first) = found.first() else { return Ok(None) };
         let labels = tree.labels(first);
