@@ -133,27 +133,17 @@ impl SelectionConfidence {
 
     /// How sure the selection is, in words: sentences without a full stop.
     pub fn sentences(&self) -> Vec<String> {
-        let mut words = vec![match (self.prompted_side, self.far_side) {
-            (SideAgreement { agreement: Some(near), photos }, SideAgreement { agreement: None, .. }) => {
-                format!(
-                    "confidence {:.2}: {} of the prompted side agree by {near:.2}",
-                    self.value,
-                    counted(photos)
-                )
-            }
-            (
-                SideAgreement { agreement: Some(near), photos },
-                SideAgreement { agreement: Some(far), photos: others },
-            ) => {
-                format!(
-                    "confidence {:.2}: {} of the prompted side agree by {near:.2}, {} of the other side by {far:.2}",
-                    self.value,
-                    counted(photos),
-                    counted(others)
-                )
-            }
-            _ => format!("confidence {:.2}: no photo was compared with the selection", self.value),
-        }];
+        let of_side = |side: SideAgreement, name: &str| {
+            let agreement = side.agreement?;
+            Some(format!("{agreement:.2} in {} of the {name} side", counted(side.photos)))
+        };
+        let sides = [of_side(self.prompted_side, "prompted"), of_side(self.far_side, "other")];
+        let sides: Vec<String> = sides.into_iter().flatten().collect();
+        let compared = match sides.is_empty() {
+            true => "no photo was compared with the selection".into(),
+            false => format!("agreement {}", sides.join(", ")),
+        };
+        let mut words = vec![format!("confidence {:.2}: {compared}", self.value)];
         match (self.lopsided, self.far_side.photos) {
             (Some(Lopsided::Disagrees), _) => words.push(
                 "the answer is lopsided: it fits the prompted side, and the other side much less".into(),

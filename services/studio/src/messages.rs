@@ -6,7 +6,9 @@ use crate::document::{KeptObject, ObjectId};
 use crate::regions::{Combination, Region, RegionRule};
 use segwild_pipeline::{AnswerStep, BlendedAppearance, Moment};
 use segwild_scene::{Camera, Pose, Prompts};
-use segwild_segmenter::Alternative;
+use segwild_segmenter::{
+    Alternative, Lopsided, PhotoAgreement, SelectionConfidence, ShownSide, SideAgreement,
+};
 use serde::{Deserialize, Serialize};
 
 /// A run, as the list of runs names it.
@@ -421,6 +423,75 @@ pub struct AnswerMessage {
     pub error: Option<String>,
     /// Seconds from the prompts to the present answer.
     pub seconds: f64,
+    /// How sure the answer is; `null` until it is done.
+    pub confidence: Option<ConfidenceMessage>,
+}
+
+/// How sure an answer is.
+#[derive(Clone, Debug, Serialize)]
+pub struct ConfidenceMessage {
+    /// The IoU with what is meant that is to be expected, 0 to 1.
+    pub value: f32,
+    /// Mean agreement of the photos, 0 to 1; `null` where none was compared.
+    pub agreement: Option<f32>,
+    /// Agreement of the side that agrees least, 0 to 1.
+    pub worst_side_agreement: Option<f32>,
+    /// IoU of the answer with the next alternative of the scene tree, 0 to 1.
+    pub levels_agreement: Option<f32>,
+    /// The side that was prompted.
+    pub prompted_side: SideAgreement,
+    /// The rest of the object.
+    pub far_side: SideAgreement,
+    /// Why the answer may be good on the prompted side only.
+    pub lopsided: Option<Lopsided>,
+    /// Index of the photo in which one more click would help most.
+    pub next_click: Option<usize>,
+    /// The photos that were compared.
+    pub photos: Vec<PhotoConfidence>,
+}
+
+/// How well a photo agrees with an answer.
+#[derive(Clone, Debug, Serialize)]
+pub struct PhotoConfidence {
+    /// Index of the photo.
+    pub photo: usize,
+    /// Whether it was prompted.
+    pub prompted: bool,
+    /// Whether it shows another side of the object than the prompted photos.
+    pub far: bool,
+    /// IoU of the answer's silhouette in it with its own mask, 0 to 1.
+    pub agreement: f32,
+    /// Share of its pixels that show the answer, 0 to 1.
+    pub shown: f32,
+    /// Whether it agrees by less than a mask needs to count.
+    pub disagrees: bool,
+}
+
+impl ConfidenceMessage {
+    /// How sure a selection is; `index` finds a photo by its name.
+    pub fn of(confidence: &SelectionConfidence, index: impl Fn(&str) -> Option<usize>) -> ConfidenceMessage {
+        let photo = |p: &PhotoAgreement| {
+            Some(PhotoConfidence {
+                photo: index(&p.photo)?,
+                prompted: p.prompted,
+                far: p.side == ShownSide::Far,
+                agreement: p.agreement,
+                shown: p.shown,
+                disagrees: p.disagrees,
+            })
+        };
+        ConfidenceMessage {
+            value: confidence.value,
+            agreement: confidence.agreement,
+            worst_side_agreement: confidence.worst_side_agreement,
+            levels_agreement: confidence.levels_agreement,
+            prompted_side: confidence.prompted_side,
+            far_side: confidence.far_side,
+            lopsided: confidence.lopsided,
+            next_click: confidence.next_click.as_deref().and_then(&index),
+            photos: confidence.photos.iter().filter_map(photo).collect(),
+        }
+    }
 }
 
 /// An object.

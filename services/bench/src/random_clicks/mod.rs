@@ -3,6 +3,7 @@
 
 mod page;
 mod prompts;
+mod reliability;
 
 pub use page::{markdown, write};
 
@@ -15,7 +16,8 @@ use segwild_eval::record::{Provenance, Record, Results};
 use segwild_eval::trial::TrialError;
 use segwild_flow::Stopper;
 use segwild_pipeline::{
-    PhotoPrompts, RunError, RunFolder, RunOptions, Session, SessionOptions, Settings, Until, run, score,
+    Answer, PhotoPrompts, RunError, RunFolder, RunOptions, Session, SessionOptions, Settings, SettingsError,
+    Until, run, score,
 };
 use segwild_scene::{HoldOut, Mask, MaskFileError, MaskFiles, Prompts, Random};
 use std::collections::BTreeMap;
@@ -43,6 +45,8 @@ pub struct ClickOptions {
     pub boxes: bool,
     /// Whether the alternatives of each click are measured as well.
     pub alternatives: bool,
+    /// Whether each click is measured by the trees of the photos' boundaries and by those of the geometry's alone, too.
+    pub boundaries: bool,
     /// Further clicks, each where the answer is most wrong.
     pub corrections: usize,
     /// Folder for the results and the page, and for runs while they are made.
@@ -164,8 +168,8 @@ struct ComparedAnswer {
     select_s: Option<f64>,
     /// Seconds to the first.
     first_s: Option<f64>,
-    /// Its IoU as the scene tree expects it.
-    expected_iou: Option<f32>,
+    /// How sure the program is of it, in numbers by name.
+    confidence: Vec<(&'static str, f64)>,
     /// Answers that it lists, itself included.
     answers: usize,
 }
@@ -176,12 +180,26 @@ impl ComparedAnswer {
     }
 }
 
+/// How sure an answer is, in numbers by name: its confidence, and what that is made of.
+fn confidence_numbers(answer: &Answer) -> Vec<(&'static str, f64)> {
+    let confidence = &answer.segmented.confidence;
+    let known = [
+        (reliability::CONFIDENCE, Some(confidence.value)),
+        ("agreement", confidence.agreement),
+        ("worst_side_agreement", confidence.worst_side_agreement),
+        ("levels_agreement", confidence.levels_agreement),
+        ("expected_iou", answer.segmented.expected_iou),
+    ];
+    known.into_iter().filter_map(|(name, number)| Some((name, f64::from(number?)))).collect()
+}
+
 /// The selection that answers are saved as.
 const SELECTION: &str = "click";
 
 impl TrueObject<'_> {
     /// The numbers of one prompt: mean IoU over all true masks, the worst photo, stray light, seconds to the first and the last
-    /// answer, the best of the answer and its alternatives, and the clicks that it takes to each IoU of [`page::FOUND`].
+    /// answer, how sure it is, the best of the answer and its alternatives, IoU by one kind of boundary, and the clicks that it takes
+    /// to each IoU of [`page::FOUND`].
     fn numbers(
         &self,
         session: &Session,
@@ -198,23 +216,33 @@ impl TrueObject<'_> {
         let known = [
             ("select_s", answer.select_s),
             ("first_s", answer.first_s),
-            ("expected_iou", answer.expected_iou.map(f64::from)),
             (page::STRAY_LIGHT[0], answer.stray_light.map(|[mean, _]| mean)),
             (page::STRAY_LIGHT[1], answer.stray_light.map(|[_, worst]| worst)),
         ];
         numbers.extend(known.into_iter().filter_map(|(name, number)| Some((name.to_owned(), number?))));
+        numbers.extend(answer.confidence.iter().map(|(name, number)| ((*name).to_owned(), *number)));
         // Alternatives come first: what is corrected is the answer, and it is the one saved last.
+        let mut replaced = false;
         if options.alternatives {
             let mut best = answer.mean();
             for other in 1..answer.answers {
                 best = best.max(self.answer(session, settings, &prompts, other)?.mean());
+                replaced = true;
             }
             numbers.insert("best_iou".into(), best);
-            if answer.answers > 1 && options.corrections > 0 {
-                answer = self.answer(session, settings, &prompts, 0)?;
+        }
+        if options.boundaries {
+            for (word, name) in page::BOUNDARIES {
+                let mut alone = settings.clone();
+                alone.set("tree_boundaries", word).map_err(SettingsError::from)?;
+                numbers.insert(name.into(), self.answer(session, &alone, &prompts, 0)?.mean());
+                replaced = true;
             }
         }
         if options.corrections > 0 {
+            if replaced {
+                answer = self.answer(session, settings, &prompts, 0)?;
+            }
             let most = 1 + options.corrections;
             let mut reached = page::FOUND.map(|_| most);
             for count in 1..=most {
@@ -267,7 +295,7 @@ impl TrueObject<'_> {
                     stray_light: Some([scored.stray_light, scored.worst_stray_light()]),
                     select_s: Some(answer.select_s).filter(|s| s.is_finite()),
                     first_s,
-                    expected_iou: answer.segmented.expected_iou,
+                    confidence: confidence_numbers(&answer),
                     answers: answer.segmented.alternatives.len().max(1),
                 })
             }
@@ -277,7 +305,7 @@ impl TrueObject<'_> {
                 stray_light: None,
                 select_s: None,
                 first_s,
-                expected_iou: None,
+                confidence: Vec::new(),
                 answers: 1,
             }),
             Err(other) => Err(failed(other)),

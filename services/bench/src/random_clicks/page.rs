@@ -1,6 +1,7 @@
 //! The page of random clicks.
 
 use super::prompts::{BOX, BOX_MARGIN, INSET};
+use super::reliability;
 use crate::page::{PageError, io};
 use segwild_eval::metrics::Spread;
 use segwild_eval::record::{Record, Results};
@@ -17,6 +18,10 @@ pub const FOUND: [f64; 2] = [0.85, 0.9];
 pub const CLICKS_TO: [&str; 2] = ["clicks_to_85", "clicks_to_90"];
 /// Names of the stray light of an answer: its mean over the photos without prompts, and its worst photo.
 pub const STRAY_LIGHT: [&str; 2] = ["stray_light", "worst_stray_light"];
+
+/// Values of the setting `tree_boundaries` by which each click is measured as well, with the names of its IoUs.
+pub const BOUNDARIES: [(&str, &str); 2] =
+    [("photo", "iou_photo_boundaries"), ("geometry", "iou_geometry_boundaries")];
 
 /// A row of the table: the mean, quartiles and shares of one object's prompts.
 struct ClickRow {
@@ -166,9 +171,56 @@ pub fn markdown(results: &Results) -> String {
             let _ = writeln!(text, "| **mean** | {} objects | | {} |", rows.len(), mean.cells());
         }
     }
+    text.push_str(&boundaries(&results.records));
+    text.push_str(&reliability::section(&results.records));
     for what in &results.missing {
         let _ = writeln!(text, "\nNot measured: {what}.");
     }
+    text
+}
+
+/// The table of what each kind of boundary is worth; empty where it was not measured.
+fn boundaries(records: &[Record]) -> String {
+    let mut objects: Vec<(Option<f64>, &str, &str)> = Vec::new();
+    for r in records.iter().filter(|r| r.numbers.contains_key(BOUNDARIES[0].1)) {
+        let object = (r.at, r.scene.as_str(), r.target.as_str());
+        if !objects.contains(&object) {
+            objects.push(object);
+        }
+    }
+    if objects.is_empty() {
+        return String::new();
+    }
+    let mut text = String::from(
+        "\n## What each kind of boundary is worth\n\nMean IoU of the same clicks, answered by the trees that the photos' boundaries or the \
+         geometry's grow alone (`--tree-boundaries`), and by all trees, the default. The run is the same.\n\n\
+         | px | scene | object | clicks | photo | geometry | photo and geometry |\n|---:|---|---|---:|---:|---:|---:|\n",
+    );
+    let [photo, geometry] = BOUNDARIES.map(|(_, name)| name);
+    let mut sums = [0.0; 3];
+    for (at, scene, target) in &objects {
+        let of: Vec<&Record> =
+            records.iter().filter(|r| r.at == *at && r.scene == *scene && r.target == *target).collect();
+        let mean = |name: &str| {
+            let ious: Vec<f64> = of.iter().filter_map(|r| r.numbers.get(name).copied()).collect();
+            ious.iter().sum::<f64>() / ious.len().max(1) as f64
+        };
+        let means = [photo, geometry, "iou"].map(mean);
+        sums.iter_mut().zip(means).for_each(|(sum, mean)| *sum += mean);
+        let [photo, geometry, all] = means;
+        let at = at.map_or_else(|| "-".into(), |at| format!("{at}"));
+        let _ = writeln!(
+            text,
+            "| {at} | {scene} | {target} | {} | {photo:.3} | {geometry:.3} | {all:.3} |",
+            of.len()
+        );
+    }
+    let [photo, geometry, all] = sums.map(|sum| sum / objects.len() as f64);
+    let _ = writeln!(
+        text,
+        "| | **mean** | {} objects | | {photo:.3} | {geometry:.3} | {all:.3} |",
+        objects.len()
+    );
     text
 }
 
@@ -223,6 +275,32 @@ mod tests {
         assert!(page.contains("| 2.0 | 4.0 | 0.500 | 0.750 | 0.10 | 1.0 |\n"), "{page}");
         assert!(page.contains("Stray light is") && page.contains("than 2 % of the diagonal"), "{page}");
         assert!(page.contains("built-in"), "{page}");
+    }
+
+    #[test]
+    fn the_table_of_boundaries_has_a_row_for_each_object_and_their_mean() {
+        let record = |target: &str, prompt: u32, [photo, geometry, all]: [f64; 3]| Record {
+            scene: "square".into(),
+            at: Some(320.0),
+            target: target.into(),
+            prompt,
+            numbers: [
+                ("iou".to_owned(), all),
+                (BOUNDARIES[0].1.to_owned(), photo),
+                (BOUNDARIES[1].1.to_owned(), geometry),
+            ]
+            .into(),
+            ..Record::default()
+        };
+        let records = [
+            record("a", 0, [0.2, 0.4, 0.8]),
+            record("a", 1, [0.4, 0.6, 1.0]),
+            record("b", 0, [0.9, 0.1, 0.5]),
+        ];
+        let table = boundaries(&records);
+        assert!(table.contains("| 320 | square | a | 2 | 0.300 | 0.500 | 0.900 |"), "{table}");
+        assert!(table.contains("| | **mean** | 2 objects | | 0.600 | 0.300 | 0.700 |"), "{table}");
+        assert_eq!(boundaries(&[Record::default()]), "", "it was not measured");
     }
 
     #[test]

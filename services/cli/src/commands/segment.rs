@@ -86,6 +86,9 @@ pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
         done.disagreeing,
         duration(done.select_s)
     ))?;
+    for words in done.confidence.sentences() {
+        print_line(&words)?;
+    }
     if done.seen_once > 0 {
         print_line(&format!("{} splats that one photo alone shows were left out", done.seen_once))?;
     }

@@ -30,6 +30,7 @@ use segwild_flow::ledger::{CheckpointRow, State};
 use segwild_flow::{Cache, FileError, Ledger, codec, files};
 use segwild_poses::PosesFolder;
 use segwild_scene::{Scene, SceneFrame, SceneSettings, Skipped};
+use segwild_segmenter::SelectionConfidence;
 use segwild_trainer::{Checkpoint, Model};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashSet};
@@ -246,6 +247,13 @@ impl RunFolder {
         let summary: serde_json::Value =
             self.read_json(&format!("selections/{selection}/summary.json")).ok()?;
         Some(summary.get("provider")?.as_str()?.to_owned())
+    }
+
+    /// How sure a selection is, where that was recorded.
+    pub fn confidence_of(&self, selection: &str) -> Option<SelectionConfidence> {
+        let mut summary: serde_json::Value =
+            self.read_json(&format!("selections/{selection}/summary.json")).ok()?;
+        serde_json::from_value(summary.get_mut("confidence")?.take()).ok()
     }
 
     /// The report's file.

@@ -14,7 +14,9 @@ use crate::{PhotoPrompts, RunError, RunFolder, transients};
 use rayon::prelude::*;
 use segwild_flow::{FileError, fault, files};
 use segwild_scene::{Export, Image, Mask, Scene, ScoredMask, View};
-use segwild_segmenter::{Alternative, MaskMode, PhotoVerdict, Segmented, SelectedObject};
+use segwild_segmenter::{
+    Alternative, MaskMode, PhotoVerdict, Segmented, SelectedObject, SelectionConfidence,
+};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -51,6 +53,8 @@ pub struct SegmentOutcome {
     pub expected_iou: Option<f32>,
     /// What the prompts may select; the setting `alternative` selects one. Empty where the scene tree took no part.
     pub alternatives: Vec<Alternative>,
+    /// How sure the selection is, by photo and by side.
+    pub confidence: SelectionConfidence,
     /// Warnings about the prompts and the selection, a sentence each.
     pub notes: Vec<String>,
     /// Seconds from the prompts to the selection, the scene being loaded.
@@ -108,7 +112,7 @@ impl Session {
         // Written aside and then renamed, so that a selection is there as a whole or not at all.
         files::remove_litter(&folder.path().join("selections"));
         let target = folder.selection(name);
-        let Segmented { selection, cut, masks, expected_iou, alternatives } = &**segmented;
+        let Segmented { selection, cut, masks, expected_iou, alternatives, confidence } = &**segmented;
         let selected = Selected::new(&selection.labels, cut);
         let object = SelectedObject::new(&in_colour, &selection.labels, cut);
         let count = |verdict: PhotoVerdict| selection.visits.iter().filter(|v| v.verdict == verdict).count();
@@ -125,6 +129,7 @@ impl Session {
             alone: selection.alone,
             expected_iou: *expected_iou,
             alternatives: alternatives.clone(),
+            confidence: confidence.clone(),
             notes: prompt_warnings(folder, scene, &replay.prompts, masks),
             agreeing: count(PhotoVerdict::Accepted),
             disagreeing: count(PhotoVerdict::Disagrees),

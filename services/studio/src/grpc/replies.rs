@@ -1,13 +1,14 @@
 //! What the studio answers, as messages of gRPC. Every field is named, so that none is forgotten.
 
 use crate::messages::{
-    AnswerMessage, AppearanceMessage, DraftMessage, LabelMap, ListedDescription, ObjectMessage,
-    PhotoDescription, PickedPixel, RunDescription, RunEntry, ShownPrompts, StateMessage, TrainingMessage,
+    AnswerMessage, AppearanceMessage, ConfidenceMessage, DraftMessage, LabelMap, ListedDescription,
+    ObjectMessage, PhotoConfidence, PhotoDescription, PickedPixel, RunDescription, RunEntry, ShownPrompts,
+    StateMessage, TrainingMessage,
 };
 use segwild_pipeline::{AnswerStep, Moment};
 use segwild_proto::v1::{self, alternative, answer_step};
 use segwild_scene::{BoxPrompt, Camera, PointPrompt, Prompts};
-use segwild_segmenter::Alternative;
+use segwild_segmenter::{Alternative, Lopsided, SideAgreement};
 
 /// A number that is far below the limit of 32 bits: of photos, pixels, objects of a list.
 fn small(number: usize) -> u32 {
@@ -140,7 +141,8 @@ fn alternative(alternative: Alternative) -> v1::Alternative {
 }
 
 fn answer(answer: AnswerMessage) -> v1::AnswerMessage {
-    let AnswerMessage { number, state, step: from, splats, alternatives, error, seconds } = answer;
+    let AnswerMessage { number, state, step: from, splats, alternatives, error, seconds, confidence: sure } =
+        answer;
     v1::AnswerMessage {
         number,
         state: state.into(),
@@ -149,6 +151,46 @@ fn answer(answer: AnswerMessage) -> v1::AnswerMessage {
         alternatives: alternatives.into_iter().map(alternative).collect(),
         error,
         seconds,
+        confidence: sure.map(confidence),
+    }
+}
+
+fn side(side: SideAgreement) -> v1::SideMessage {
+    let SideAgreement { photos, agreement } = side;
+    v1::SideMessage { photos: small(photos), agreement }
+}
+
+fn photo_confidence(photo: PhotoConfidence) -> v1::PhotoConfidence {
+    let PhotoConfidence { photo, prompted, far, agreement, shown, disagrees } = photo;
+    v1::PhotoConfidence { photo: small(photo), prompted, far, agreement, shown, disagrees }
+}
+
+fn confidence(confidence: ConfidenceMessage) -> v1::ConfidenceMessage {
+    let ConfidenceMessage {
+        value,
+        agreement,
+        worst_side_agreement,
+        levels_agreement,
+        prompted_side,
+        far_side,
+        lopsided,
+        next_click,
+        photos,
+    } = confidence;
+    let word = |lopsided| match lopsided {
+        Lopsided::Disagrees => "disagrees".to_owned(),
+        Lopsided::Unseen => "unseen".to_owned(),
+    };
+    v1::ConfidenceMessage {
+        value,
+        agreement,
+        worst_side_agreement,
+        levels_agreement,
+        prompted_side: Some(side(prompted_side)),
+        far_side: Some(side(far_side)),
+        lopsided: lopsided.map(word),
+        next_click: next_click.map(small),
+        photos: photos.into_iter().map(photo_confidence).collect(),
     }
 }
 

@@ -19,10 +19,17 @@
  * @typedef {{id: number, name: string, colour: number, visible: boolean, locked: boolean, appearance: Appearance | null,
  *   splats: number, selection: string, prompted: boolean, edited: boolean}} Item
  */
+/** @typedef {{photos: number, agreement: number | null}} SideAgreement */
+/**
+ * @typedef {{value: number, agreement: number | null, worst_side_agreement: number | null, levels_agreement: number | null,
+ *   prompted_side: SideAgreement, far_side: SideAgreement, lopsided: string | null, next_click: number | null,
+ *   photos: {photo: number, prompted: boolean, far: boolean, agreement: number, shown: number, disagrees: boolean}[]}} Confidence
+ */
 /**
  * @typedef {{revision: number,
  *   draft: {prompts: Prompts[], listed: number | null, of: number | null, alternative: number},
- *   answer: {number: number, state: string, step: any, splats: number, alternatives: any[], error: string | null, seconds: number},
+ *   answer: {number: number, state: string, step: any, splats: number, alternatives: any[], error: string | null, seconds: number,
+ *     confidence: Confidence | null},
  *   objects: Item[], isolated: number | null, appearance: Appearance, corrected: number[], cut_spikes: boolean, changes: string,
  *   undo: string | null, redo: string | null, notes: string[]}} State
  */

@@ -55,6 +55,13 @@ export class Side {
     return step ? text(`step_${step}`) : text("step_none");
   }
 
+  /** In words, how sure an answer is. @param {import("./api.js").Confidence} confidence */
+  sure({ value, lopsided, next_click }) {
+    const sure = text(lopsided ? `lopsided_${lopsided}` : "sure", (100 * value).toFixed(0));
+    const photo = next_click === null ? undefined : this.app.description.photos[next_click];
+    return photo ? `${sure} ${text("next_click", photo.name)}` : sure;
+  }
+
   answer() {
     const { app } = this, { state } = app;
     if (!state) return;
@@ -73,6 +80,7 @@ export class Side {
       const busy = answer.state === "working";
       parts.push(element("p", { className: busy ? "busy" : "" }, text(answer.state, this.step(answer.step, answer.state))));
       if (answer.splats) parts.push(element("p", { className: "quiet" }, text("splats", answer.splats, answer.seconds.toFixed(2))));
+      if (answer.confidence) parts.push(element("p", { className: "quiet", id: "sure" }, this.sure(answer.confidence)));
     }
     const level = /** @type {HTMLInputElement} */ (element("input", {
       type: "range", min: "0", max: String(LEVELS.length - 1), step: "1", value: String(LEVELS.indexOf(app.level)), id: "level",

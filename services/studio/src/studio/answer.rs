@@ -2,6 +2,7 @@
 
 use super::state::{GrowingAnswer, Studio, StudioError, StudioState};
 use crate::document::{Document, JournalEntry, KeptObject, ObjectDraft, ObjectId, Operation};
+use crate::messages::ConfidenceMessage;
 use segwild_flow::Stopper;
 use segwild_pipeline::{Replay, RunError, Selected, Session};
 use segwild_segmenter::SegmentSettings;
@@ -121,10 +122,13 @@ fn answer(studio: &Weak<Studio>, number: u64, replay: &Replay, stopper: &Stopper
     match result {
         Ok(done) => {
             let selected = Arc::new(Session::selected(&done));
+            let sure = &done.segmented.confidence;
+            let sure = studio.upgrade().map(|s| ConfidenceMessage::of(sure, |name| s.photo_named(name)));
             show(&|answer| {
                 answer.message.state = "done";
                 answer.message.splats = selected.labels.iter().filter(|label| **label).count();
                 answer.message.alternatives.clone_from(&done.segmented.alternatives);
+                answer.message.confidence.clone_from(&sure);
                 answer.selected = Some(selected.clone());
             });
         }

@@ -33,6 +33,7 @@ pub fn command() -> Command {
         )
         .arg(flag("boxes", "Draw a box around the object instead of a click"))
         .arg(flag("alternatives", "Measure the alternatives of each answer as well"))
+        .arg(flag("boundaries", "Measure each click by one kind of the trees' boundaries alone as well"))
         .arg(
             number("corrections", "0", "Further clicks, each where the answer is most wrong (NoC)")
                 .value_parser(value_parser!(u64)),
@@ -54,6 +55,7 @@ pub fn clicks(matches: &ArgMatches) -> Result<(), Failure> {
         seed: *matches.get_one::<u64>("click-seed").expect("it has a default"),
         boxes: matches.get_flag("boxes"),
         alternatives: matches.get_flag("alternatives"),
+        boundaries: matches.get_flag("boundaries"),
         corrections: *matches.get_one::<u64>("corrections").expect("it has a default") as usize,
         out: path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/clicks")),
         command: command_line(),

@@ -8,6 +8,7 @@ use crate::{ObjectList, RunError, RunFolder, Selected};
 use segwild_flow::{FileError, files};
 use segwild_raster::Rasterizer;
 use segwild_scene::Image;
+use segwild_segmenter::{SelectionConfidence, ShownSide};
 
 /// The comment after the last selection.
 pub(super) const END_OF_OBJECTS: &str = "<!-- end of objects -->";
@@ -91,11 +92,12 @@ pub(super) fn object(
     let count = selected.labels.iter().filter(|&&l| l).count();
     let mut text = format!(
         "{START_OF_OBJECT}{0}{AFTER_NAME}<h2>Object: {0}</h2><p>{count} splats{1}. <code>selections/{0}/object.ply</code>, \
-         masks beside it.</p><div class=\"row\">",
+         masks beside it.</p>{2}<div class=\"row\">",
         html::escape(name),
         folder
             .provider_of(name)
-            .map_or_else(String::new, |by| format!(", by the masks of {}", html::escape(&by)))
+            .map_or_else(String::new, |by| format!(", by the masks of {}", html::escape(&by))),
+        folder.confidence_of(name).map_or_else(String::new, |confidence| sure(&confidence))
     );
     let highlight =
         SceneRenderer::new(loaded, Some((selected.clone(), Mode::Highlight)), RenderContent::Colour, engine)?;
@@ -114,4 +116,95 @@ pub(super) fn object(
     }
     text.push_str("</div>");
     Ok(text)
+}
+
+/// How sure a selection is, in words, with a row for each photo.
+fn sure(confidence: &SelectionConfidence) -> String {
+    let sentences: Vec<String> = confidence
+        .sentences()
+        .into_iter()
+        .map(|words| {
+            // A sentence starts with a capital letter; its first letter is one of ours.
+            let (first, rest) = words.split_at(1.min(words.len()));
+            format!("{}{}.", first.to_uppercase(), html::escape(rest))
+        })
+        .collect();
+    let head = ["photo", "side", "agreement", "of the photo (%)", ""];
+    let mut rows = vec![head.map(str::to_owned).to_vec()];
+    rows.extend(confidence.photos.iter().map(|photo| {
+        let side = match photo.side {
+            ShownSide::Prompted => "prompted",
+            ShownSide::Far => "other",
+        };
+        let note = match (photo.prompted, photo.disagrees) {
+            (true, _) => "prompted",
+            (false, true) => "disagrees",
+            (false, false) => "",
+        };
+        vec![
+            photo.photo.clone(),
+            side.into(),
+            format!("{:.2}", photo.agreement),
+            format!("{:.1}", 100.0 * photo.shown),
+            note.into(),
+        ]
+    }));
+    format!(
+        "<p>{}</p><details><summary>{} photos compared</summary>{}</details>",
+        sentences.join(" "),
+        confidence.photos.len(),
+        html::table(&rows)
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use segwild_segmenter::{Lopsided, PhotoAgreement, SideAgreement};
+
+    #[test]
+    fn how_sure_a_selection_is_survives_its_summary_and_stands_in_the_report() {
+        let photo = |name: &str, side: ShownSide, agreement: f32| PhotoAgreement {
+            photo: name.into(),
+            prompted: side == ShownSide::Prompted,
+            side,
+            agreement,
+            shown: 0.123,
+            disagrees: agreement < 0.6,
+        };
+        let confidence = SelectionConfidence {
+            value: 0.47,
+            agreement: Some(0.6),
+            worst_side_agreement: Some(0.3),
+            levels_agreement: None,
+            prompted_side: SideAgreement { photos: 1, agreement: Some(0.9) },
+            far_side: SideAgreement { photos: 2, agreement: Some(0.3) },
+            lopsided: Some(Lopsided::Disagrees),
+            next_click: Some("b<.jpg".into()),
+            photos: vec![
+                photo("a.jpg", ShownSide::Prompted, 0.9),
+                photo("b<.jpg", ShownSide::Far, 0.2),
+                photo("c.jpg", ShownSide::Far, 0.4),
+            ],
+        };
+        let dir = tempfile::tempdir().expect("a folder");
+        let folder = RunFolder::create(dir.path()).expect("a run");
+        let selection = folder.selection("statue");
+        std::fs::create_dir_all(&selection).expect("a folder");
+        assert_eq!(folder.confidence_of("statue"), None, "there is no summary");
+        let write = |summary: serde_json::Value| {
+            std::fs::write(selection.join("summary.json"), summary.to_string()).expect("it is written");
+        };
+        write(serde_json::json!({ "provider": "built-in" }));
+        assert_eq!(folder.confidence_of("statue"), None, "a summary of an earlier version");
+        write(serde_json::json!({ "confidence": confidence }));
+        assert_eq!(folder.confidence_of("statue").as_ref(), Some(&confidence));
+        let shown = sure(&confidence);
+        assert!(
+            shown.starts_with("<p>Confidence 0.47: agreement 0.90 in 1 photo of the prompted side"),
+            "{shown}"
+        );
+        assert!(shown.contains("lopsided") && shown.contains("help most in b&lt;.jpg."), "{shown}");
+        assert!(shown.contains("<td>c.jpg</td><td>other</td><td>0.40</td><td>12.3</td><td>disagrees</td>"));
+    }
 }
