@@ -136,7 +136,7 @@ class Selection:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """`summary.json` as it is: provider, counts, agreement, alternatives, warnings, seconds."""
+        """`summary.json` as it is: provider, counts, agreement, alternatives, confidence, warnings, seconds."""
         name = self._file("summary.json")
         value = self._folder.json(name, self._again())
         if not isinstance(value, dict):
