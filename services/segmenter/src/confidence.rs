@@ -51,7 +51,7 @@ const NAMED_PHOTOS: usize = 5;
 pub enum Lopsided {
     /// The photos of the far side agree much less.
     Disagrees,
-    /// Too few photos show the far side.
+    /// Too few photos of the far side were compared.
     Unseen,
 }
 
@@ -149,12 +149,10 @@ impl SelectionConfidence {
                 "the answer is lopsided: it fits the prompted side, and the other side much less".into(),
             ),
             (Some(Lopsided::Unseen), 0) => {
-                words.push("the answer is lopsided: no photo shows its other side".into());
+                words.push("the answer is lopsided: its other side was checked in no photo".into());
             }
-            (Some(Lopsided::Unseen), few) => words.push(format!(
-                "the answer is lopsided: of its other side there is only {}, too few to check it",
-                counted(few)
-            )),
+            (Some(Lopsided::Unseen), few) => words
+                .push(format!("the answer is lopsided: its other side was checked in {} only", counted(few))),
             (None, _) => {}
         }
         let disagreeing = self.disagreeing();
@@ -263,9 +261,9 @@ mod tests {
         let few = of(&[photo("clicked", 0.0, 0.9, 0.2), photo("back", 180.0, 0.1, 0.2)]);
         assert_eq!((few.lopsided, few.far_side.photos), (Some(Lopsided::Unseen), 1));
         assert_eq!(few.worst_side_agreement, Some(0.9));
-        assert!(few.sentences()[1].contains("only 1 photo"), "{:?}", few.sentences());
+        assert!(few.sentences()[1].contains("checked in 1 photo only"), "{:?}", few.sentences());
         let none = of(&[photo("clicked", 0.0, 0.9, 0.2)]);
-        assert!(none.sentences()[1].contains("no photo shows its other side"));
+        assert!(none.sentences()[1].contains("checked in no photo"));
     }
 
     #[test]
