@@ -125,7 +125,7 @@ fn sure(confidence: &SelectionConfidence) -> String {
         .into_iter()
         .map(|words| {
             // A sentence starts with a capital letter; its first letter is one of ours.
-            let (first, rest) = words.split_at(1.min(words.len()));
+            let (first, rest) = words.split_at(words.len().min(1));
             format!("{}{}.", first.to_uppercase(), html::escape(rest))
         })
         .collect();
