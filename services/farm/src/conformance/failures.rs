@@ -1,7 +1,7 @@
 //! What follows a failure: rests, dead letters, stops.
 
 use super::site::{
-    ConformanceFailure, JUMPS_S, LEASE_S, REST_S, Site, claim, expect, job, nothing, outcome, state,
+    ConformanceFailure, JUMPS_S, LEASE_S, REST_S, Site, claim, expect, job, nothing, offer, outcome, state,
 };
 use crate::engine::{Completed, EngineError, ErrorClass, JobFate, JobState, WorkerOffer};
 use crate::job::{Job, Needs, Retry};
