@@ -6,11 +6,14 @@
 
 use std::collections::VecDeque;
 use std::io;
+use std::net::SocketAddr;
+use std::pin::pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use axum::Router;
+use axum::extract::ConnectInfo;
 use axum::http::{Request, StatusCode};
 use hyper::body::Incoming;
 use hyper::server::conn::{http1, http2};
@@ -18,8 +21,10 @@ use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
+use tokio::sync::{Semaphore, watch};
 use tokio::task::AbortHandle;
+
+use crate::slow::{CountedBody, OpenRequest, TimedBody, TimedStream, idle};
 
 /// What a server allows its clients.
 #[derive(Clone, Copy, Debug)]
@@ -50,6 +55,13 @@ pub const MOST: usize = 32;
 pub const HEAD_TIME: Duration = Duration::from_secs(5);
 /// A request's head may have so many bytes.
 pub const HEAD_BYTES: usize = 16 << 10;
+/// A request's body must be there after this time: a mebibyte over a slow line takes as long.
+const BODY_TIME: Duration = Duration::from_secs(20);
+/// A client that reads nothing of its answer for so long is dropped, also one that follows events.
+const WRITE_TIME: Duration = Duration::from_secs(30);
+/// A connection by HTTP/2 without a request ends after this time; clients connect again by themselves. One by HTTP/1 has
+/// [`HEAD_TIME`] for its next request.
+const IDLE_TIME: Duration = Duration::from_secs(300);
 /// Requests of one connection by HTTP/2 that are answered at a time.
 const MOST_STREAMS: u32 = 64;
 /// How every connection by HTTP/2 starts, and none by HTTP/1.
@@ -66,8 +78,8 @@ pub async fn answer(listener: TcpListener, routes: Router, limits: ConnectionLim
     let free_connections = Arc::new(Semaphore::new(limits.most));
     let mut open = OpenConnections::default();
     loop {
-        let stream = match listener.accept().await {
-            Ok((stream, _)) => stream,
+        let (stream, client) = match listener.accept().await {
+            Ok(accepted) => accepted,
             Err(error) => {
                 if !ended_early(&error) {
                     open.end_a_silent_one();
@@ -87,7 +99,7 @@ pub async fn answer(listener: TcpListener, routes: Router, limits: ConnectionLim
         // The slot of a connection is free once its socket is closed.
         let Ok(permit) = free_connections.clone().acquire_owned().await else { return };
         let received = Arc::new(AtomicBool::new(false));
-        let work = requests(stream, routes.clone(), received.clone(), limits);
+        let work = requests(stream, client, routes.clone(), received.clone(), limits);
         let task = tokio::spawn(async move {
             // A client that is too slow, or that has gone, has nobody to answer.
             let _ = match limits.whole_time {
@@ -109,16 +121,17 @@ fn ended_early(error: &io::Error) -> bool {
 /// Answers a connection's requests, in the protocol that it starts with.
 async fn requests(
     stream: TcpStream,
+    client: SocketAddr,
     routes: Router,
     received: Arc<AtomicBool>,
     limits: ConnectionLimits,
 ) -> hyper::Result<()> {
     if !limits.http2 {
-        return by_http1(stream, routes, received, limits.keep_alive).await;
+        return by_http1(stream, client, routes, received, limits.keep_alive).await;
     }
     match tokio::time::timeout(HEAD_TIME, starts_with_http2(&stream)).await {
-        Ok(Ok(true)) => by_http2(stream, routes, received).await,
-        Ok(Ok(false)) => by_http1(stream, routes, received, limits.keep_alive).await,
+        Ok(Ok(true)) => by_http2(stream, client, routes, received).await,
+        Ok(Ok(false)) => by_http1(stream, client, routes, received, limits.keep_alive).await,
         // Nothing came in time, or the client has gone.
         Ok(Err(_)) | Err(_) => Ok(()),
     }
@@ -136,17 +149,24 @@ async fn starts_with_http2(stream: &TcpStream) -> io::Result<bool> {
     }
 }
 
+/// A request that knows its client's address ([`ConnectInfo`]), and whose body has to come in time.
+fn bounded(mut request: Request<Incoming>, client: SocketAddr) -> Request<TimedBody<Incoming>> {
+    request.extensions_mut().insert(ConnectInfo(client));
+    request.map(|body| TimedBody::new(body, BODY_TIME))
+}
+
 /// Answers requests by HTTP/1. Without keep-alive nobody holds a connection between two.
 async fn by_http1(
     stream: TcpStream,
+    client: SocketAddr,
     routes: Router,
     received: Arc<AtomicBool>,
     keep_alive: bool,
 ) -> hyper::Result<()> {
     let routes = TowerToHyperService::new(routes);
-    let service = service_fn(move |request| {
+    let service = service_fn(move |request: Request<Incoming>| {
         received.store(true, Ordering::Relaxed);
-        routes.call(request)
+        routes.call(bounded(request, client))
     });
     http1::Builder::new()
         .timer(TokioTimer::new())
@@ -155,35 +175,52 @@ async fn by_http1(
         .keep_alive(keep_alive)
         // A client that sent its request and closed its side is still answered.
         .half_close(true)
-        .serve_connection(TokioIo::new(stream), service)
+        .serve_connection(TokioIo::new(TimedStream::new(stream, WRITE_TIME)), service)
         .await
 }
 
-/// Answers requests by HTTP/2. Nothing ends an idle connection but a client that is gone, so one whose requests were all refused
-/// counts as silent: it loses its slot in a crowd.
-async fn by_http2(stream: TcpStream, routes: Router, received: Arc<AtomicBool>) -> hyper::Result<()> {
+/// Answers requests by HTTP/2. An idle connection lasts for minutes, so one whose requests were all refused counts as silent: it
+/// loses its slot in a crowd.
+async fn by_http2(
+    stream: TcpStream,
+    client: SocketAddr,
+    routes: Router,
+    received: Arc<AtomicBool>,
+) -> hyper::Result<()> {
     let routes = TowerToHyperService::new(routes);
+    let (open, requests) = watch::channel(0);
+    let open = Arc::new(open);
     let service = service_fn(move |request: Request<Incoming>| {
-        let (answer, received) = (routes.call(request), received.clone());
+        let (answer, received) = (routes.call(bounded(request, client)), received.clone());
+        let request = OpenRequest::new(&open);
         async move {
             // A request that is being answered is no silence.
             let answered_before = received.swap(true, Ordering::Relaxed);
             let answer = answer.await;
-            let refused = |code| [StatusCode::UNAUTHORIZED, StatusCode::FORBIDDEN].contains(&code);
+            let refused = |code| {
+                let refusals =
+                    [StatusCode::UNAUTHORIZED, StatusCode::FORBIDDEN, StatusCode::TOO_MANY_REQUESTS];
+                refusals.contains(&code)
+            };
             if !answered_before && answer.as_ref().is_ok_and(|response| refused(response.status())) {
                 received.store(false, Ordering::Relaxed);
             }
-            answer
+            answer.map(|response| response.map(|body| CountedBody::new(body, request)))
         }
     });
-    http2::Builder::new(TokioExecutor::new())
+    let connection = http2::Builder::new(TokioExecutor::new())
         .timer(TokioTimer::new())
         .keep_alive_interval(SIGN_OF_LIFE)
         .keep_alive_timeout(SIGN_OF_LIFE)
         .max_concurrent_streams(MOST_STREAMS)
         .max_header_list_size(HEAD_BYTES as u32)
-        .serve_connection(TokioIo::new(stream), service)
-        .await
+        .serve_connection(TokioIo::new(TimedStream::new(stream, WRITE_TIME)), service);
+    let mut connection = pin!(connection);
+    tokio::select! {
+        ended = connection.as_mut() => return ended,
+        () = idle(requests, IDLE_TIME) => connection.as_mut().graceful_shutdown(),
+    }
+    connection.await
 }
 
 /// The connections that are open, the oldest first: each with whether its request came.

@@ -34,6 +34,7 @@ mod disk;
 mod http;
 pub mod metrics;
 mod ready;
+mod slow;
 pub mod top;
 pub mod view;
 pub mod words;

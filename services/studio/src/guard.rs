@@ -1,16 +1,18 @@
-//! Who may ask: requests with the token, to this host, from this page.
+//! Who may ask, and how often: requests with the token, to this host, from this page.
 //!
 //! The address that `segwild serve` prints carries the token. The first request with it gets a cookie, so that the address bar and
 //! the browser's history lose it. Programs send it as `Authorization: Bearer`, those that speak gRPC as well.
 
-use axum::extract::{Request, State};
+use crate::rates::{RatedClient, RequestRates};
+use axum::extract::{ConnectInfo, Request, State};
 use axum::http::uri::Authority;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use segwild_proto::Token;
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 /// What the browser may load and do: nothing from elsewhere, no script in the page itself.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; \
@@ -22,7 +24,20 @@ pub(crate) struct Guard {
     pub address: SocketAddr,
     /// Whether it listens on the loopback address: a name that leads here from elsewhere is refused then.
     pub loopback: bool,
+    /// What each client has left of its requests.
+    pub rates: RequestRates,
 }
+
+/// What a request gets that may pass.
+enum Admission {
+    /// The address has the token: a cookie with it, and the address without it.
+    Welcome,
+    /// Its answer.
+    Answer,
+}
+
+/// Why a request is refused.
+type RefusedAccess = (StatusCode, &'static str);
 
 impl Guard {
     /// Cookies are shared by all ports of a host: each server has its own.
@@ -60,6 +75,31 @@ impl Guard {
             Some(Err(_)) => false,
         }
     }
+
+    /// Whether a request may pass.
+    fn checked(&self, request: &Request) -> Result<Admission, RefusedAccess> {
+        let (headers, host) = (request.headers(), host_of(request));
+        if !self.is_own_host(host) {
+            return Err((StatusCode::FORBIDDEN, "this server answers to its own address only"));
+        }
+        if !self.is_own_origin(headers, host) {
+            return Err((StatusCode::FORBIDDEN, "the request comes from another page"));
+        }
+        if request.method() == Method::GET
+            && let Some(token) = token_of(request.uri())
+        {
+            let other = "the token is another one: use the address that `segwild serve` printed";
+            return match self.token.is(token) {
+                true => Ok(Admission::Welcome),
+                false => Err((StatusCode::UNAUTHORIZED, other)),
+            };
+        }
+        if !self.knows(headers) {
+            let none = "open the address that `segwild serve` printed: it has the token";
+            return Err((StatusCode::UNAUTHORIZED, none));
+        }
+        Ok(Admission::Answer)
+    }
 }
 
 /// The token in a query, if there is one.
@@ -81,12 +121,13 @@ fn is_call(headers: &HeaderMap) -> bool {
 }
 
 /// A refusal, in the form that the client reads.
-fn refused(call: bool, code: StatusCode, why: &'static str) -> Response {
+fn refused(call: bool, code: StatusCode, why: &str) -> Response {
     if !call {
         return (code, axum::Json(serde_json::json!({ "error": why }))).into_response();
     }
     let status = match code {
         StatusCode::UNAUTHORIZED => tonic::Status::unauthenticated(why),
+        StatusCode::TOO_MANY_REQUESTS => tonic::Status::resource_exhausted(why),
         _ => tonic::Status::permission_denied(why),
     };
     let mut response: Response = status.into_http();
@@ -94,9 +135,24 @@ fn refused(call: bool, code: StatusCode, why: &'static str) -> Response {
     response
 }
 
+/// A refusal for a time: the same request is answered later.
+fn too_many(call: bool, wait: Duration) -> Response {
+    let seconds = wait.as_secs_f64().ceil().max(1.0) as u64;
+    let why = format!("too many requests in a short time: send this one again in {seconds} s");
+    let mut response = refused(call, StatusCode::TOO_MANY_REQUESTS, &why);
+    response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(seconds));
+    response
+}
+
+/// The address that a request comes from.
+fn client_of(request: &Request) -> IpAddr {
+    let connection = request.extensions().get::<ConnectInfo<SocketAddr>>();
+    connection.map_or(Ipv4Addr::UNSPECIFIED.into(), |ConnectInfo(client)| client.ip())
+}
+
 /// Lets a request pass, or refuses it; adds the headers that keep the page to itself.
 pub(crate) async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
-    let mut response = checked(&guard, request, next).await;
+    let mut response = answer(&guard, request, next).await;
     let headers = response.headers_mut();
     let fixed = [
         (header::CONTENT_SECURITY_POLICY, POLICY),
@@ -111,34 +167,43 @@ pub(crate) async fn guard(State(guard): State<Arc<Guard>>, request: Request, nex
     response
 }
 
-async fn checked(guard: &Guard, request: Request, next: Next) -> Response {
-    let (headers, host) = (request.headers(), host_of(&request));
-    let refused = |code, why| refused(is_call(headers), code, why);
-    if !guard.is_own_host(host) {
-        return refused(StatusCode::FORBIDDEN, "this server answers to its own address only");
+async fn answer(guard: &Guard, request: Request, next: Next) -> Response {
+    let call = is_call(request.headers());
+    let checked = guard.checked(&request);
+    // The right token passes however many wrong ones come from the same address: nobody locks others out of their own machine. A
+    // token has too many bits to be found by trying.
+    let client = RatedClient::of(client_of(&request), checked.is_ok());
+    if let Err(wait) = guard.rates.admit(client, Instant::now()) {
+        return too_many(call, wait);
     }
-    if !guard.is_own_origin(headers, host) {
-        return refused(StatusCode::FORBIDDEN, "the request comes from another page");
-    }
-    if request.method() == Method::GET
-        && let Some(token) = token_of(request.uri())
-    {
-        if !guard.token.is(token) {
-            return refused(
-                StatusCode::UNAUTHORIZED,
-                "the token is another one: use the address that `segwild serve` printed",
-            );
+    match checked {
+        Ok(Admission::Answer) => next.run(request).await,
+        Ok(Admission::Welcome) => {
+            let cookie =
+                format!("{}={}; HttpOnly; SameSite=Strict; Path=/", guard.cookie(), guard.token.text());
+            let to = request.uri().path().to_owned();
+            (StatusCode::SEE_OTHER, [(header::SET_COOKIE, cookie), (header::LOCATION, to)]).into_response()
         }
-        let cookie = format!("{}={}; HttpOnly; SameSite=Strict; Path=/", guard.cookie(), guard.token.text());
-        let to = request.uri().path().to_owned();
-        return (StatusCode::SEE_OTHER, [(header::SET_COOKIE, cookie), (header::LOCATION, to)])
-            .into_response();
+        Err((code, why)) => refused(call, code, why),
     }
-    if !guard.knows(headers) {
-        return refused(
-            StatusCode::UNAUTHORIZED,
-            "open the address that `segwild serve` printed: it has the token",
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_client_that_asks_too_often_reads_how_long_to_wait() {
+        let response = too_many(false, Duration::from_millis(1200));
+        assert_eq!(response.status(), StatusCode::TOO_MANY_REQUESTS);
+        assert_eq!(response.headers()[header::RETRY_AFTER], "2");
+        let call = too_many(true, Duration::from_millis(1));
+        assert_eq!(
+            (call.status().as_u16(), &call.headers()[header::RETRY_AFTER]),
+            (429, &HeaderValue::from(1u64))
         );
+        let status = tonic::Status::from_header_map(call.headers()).expect("a status of gRPC");
+        assert_eq!(status.code(), tonic::Code::ResourceExhausted);
+        assert!(status.message().contains("again in 1 s"), "{status}");
     }
-    next.run(request).await
 }

@@ -45,6 +45,7 @@ mod guard;
 pub mod messages;
 mod openapi;
 mod page;
+mod rates;
 mod regions;
 mod routes;
 mod runs;

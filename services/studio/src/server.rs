@@ -2,6 +2,7 @@
 
 use crate::grpc::session;
 use crate::guard::{Guard, guard};
+use crate::rates::RequestRates;
 use crate::routes::routes;
 use crate::runs::ServedRuns;
 use axum::extract::DefaultBodyLimit;
@@ -90,7 +91,8 @@ pub fn serve(folder: &Path, options: ServeOptions) -> Result<StudioServer, Serve
     let server = start(address, CONNECTIONS, THREADS, |address| {
         let runs = Arc::new(ServedRuns::new(folder, memory_budget, program, code, photos));
         runs.open_first();
-        let guards = Guard { token: token.clone(), address, loopback: address.ip().is_loopback() };
+        let loopback = address.ip().is_loopback();
+        let guards = Guard { token: token.clone(), address, loopback, rates: RequestRates::default() };
         let (calls, service) = session(runs.clone(), MOST_BODY);
         routes(runs)
             .route_service(&calls, service)

@@ -130,7 +130,8 @@ impl Schemas<'_> {
             "200": { "description": "The answer.", "content": self.content(route) },
             "default": {
                 "description": "A refusal. 400: the request makes no sense; 401 and 403: the client has no access; 404: there is \
-                                no such thing; 409: the request does not fit the present objects.",
+                                no such thing; 409: the request does not fit the present objects; 429: too many requests, and \
+                                `Retry-After` has the seconds to wait.",
                 "content": { "application/json": { "schema": reference("Refusal") } },
             },
         });

@@ -44,16 +44,53 @@ export class Refused extends Error {
   }
 }
 
-/** @param {Response} response */
-async function checked(response) {
-  // 202: the session is not open yet.
-  if (response.ok && response.status !== 202) return response;
-  throw new Refused(response.status, await response.json().catch(() => null));
+/** The code of a refusal that holds for a time only. */
+const TOO_MANY = 429;
+/** Seconds to wait where a refusal does not name them. */
+const WAIT = 1;
+/** How often an image is requested that does not come. */
+const TRIES = 4;
+
+/** Waits, unless nobody needs it any more. @param {number} seconds @param {AbortSignal | null | undefined} signal @returns {Promise<void>} */
+function pause(seconds, signal) {
+  return new Promise((done, stopped) => {
+    const timer = setTimeout(done, 1000 * seconds);
+    signal?.addEventListener("abort", () => {
+      clearTimeout(timer);
+      stopped(signal.reason);
+    }, { once: true });
+  });
+}
+
+/** Sends a request, and sends it again where the server has too many at present. @param {string} path @param {RequestInit} [options] */
+export async function send(path, options = {}) {
+  for (;;) {
+    const response = await fetch(path, options);
+    if (response.status === TOO_MANY) {
+      await pause(Number(response.headers.get("retry-after")) || WAIT, options.signal);
+      continue;
+    }
+    // 202: the session is not open yet.
+    if (response.ok && response.status !== 202) return response;
+    throw new Refused(response.status, await response.json().catch(() => null));
+  }
 }
 
 /** @param {string} path */
 export async function getJson(path) {
-  return (await checked(await fetch(path))).json();
+  return (await send(path)).json();
+}
+
+/** Shows an image; one that does not come is requested again a few times. @param {HTMLImageElement} image @param {string} path */
+export function showImage(image, path) {
+  let tries = 1;
+  image.onerror = async () => {
+    if (tries === TRIES) return;
+    await pause(WAIT * tries++, null);
+    // Another one may be shown by then.
+    if (image.getAttribute("src") === path) image.src = path;
+  };
+  image.src = path;
 }
 
 /** The requests about one run. */
@@ -82,7 +119,7 @@ export class Run {
   /** @param {string} path @param {unknown} body @param {AbortSignal} [signal] */
   async post(path, body, signal) {
     const headers = { "content-type": "application/json" };
-    return checked(await fetch(`${this.base}/${path}`, { method: "POST", headers, body: JSON.stringify(body), signal }));
+    return send(`${this.base}/${path}`, { method: "POST", headers, body: JSON.stringify(body), signal });
   }
 
   /** @param {object} action @returns {Promise<State>} */
@@ -132,12 +169,12 @@ export class Run {
 
   /** @param {string} path */
   async bytes(path) {
-    return (await checked(await fetch(`${this.base}/${path}`))).arrayBuffer();
+    return (await send(`${this.base}/${path}`)).arrayBuffer();
   }
 
   /** What objects change of the splats, and its version. @param {AbortSignal} signal @returns {Promise<{version: string, bytes: ArrayBuffer}>} */
   async changes(signal) {
-    const response = await checked(await fetch(`${this.base}/changes`, { signal }));
+    const response = await send(`${this.base}/changes`, { signal });
     return { version: response.headers.get("segwild-version") ?? "", bytes: await response.arrayBuffer() };
   }
 

@@ -1,5 +1,6 @@
 // The photos: the strip, and the large one with its marks, candidates, clicks and strokes.
 
+import { showImage } from "./api.js";
 import { ANSWER, ANSWER_COLOUR, paint } from "./overlay.js";
 import { text } from "./strings.js";
 
@@ -45,7 +46,7 @@ export class PhotoPane {
   /** Shows the app's photo. */
   open() {
     const { camera, name, held_out } = this.photo;
-    image.src = this.app.run.photo(this.app.photo, 1280);
+    showImage(image, this.app.run.photo(this.app.photo, 1280));
     image.alt = name;
     of("photo-name").textContent = `${name} · ${camera.width} × ${camera.height}${held_out ? ` · ${text("held_out")}` : ""}`;
     this.zoom = { scale: 1, x: 0, y: 0 };
@@ -351,7 +352,7 @@ export class Strip {
       button.setAttribute("aria-current", String(i === app.photo));
       img.loading = "lazy";
       img.alt = "";
-      img.src = app.run.photo(i, 160);
+      showImage(img, app.run.photo(i, 160));
       button.append(img);
       button.addEventListener("click", () => app.openPhoto(i));
       li.append(button);

@@ -1,6 +1,6 @@
 // Progress of a run or a batch, as operators see it: the same view as `segwild top` and `segwild status --json`.
 
-import { getJson } from "./api.js";
+import { getJson, send } from "./api.js";
 import { element } from "./objects.js";
 import { text } from "./strings.js";
 
@@ -82,8 +82,8 @@ export class StatusPane {
 
   /** Gives a scene that was given up another chance. @param {string} scene */
   async retry(scene) {
-    const response = await fetch(`/api/v1/scenes/${encodeURIComponent(scene)}/retry`, { method: "POST" });
-    this.app.say(response.ok ? text("retried", scene) : (await response.json()).error);
+    const retried = send(`/api/v1/scenes/${encodeURIComponent(scene)}/retry`, { method: "POST" });
+    await retried.then(() => this.app.say(text("retried", scene)), error => this.app.failed(error));
     this.show();
   }
 }

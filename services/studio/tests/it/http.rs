@@ -91,6 +91,10 @@ fn nobody_gets_in_without_the_token_or_from_another_page() {
     let elsewhere =
         format!("GET /api/v1/runs HTTP/1.1\r\nHost: evil.example\r\nConnection: close\r\n{cookie}\r\n");
     assert!(is(&raw(&server, &elsewhere), 403));
+    // Who goes on without the token waits; who has it does not.
+    let refused = (0..200).map(|_| request(&server, "GET /", "")).find(|response| is(response, 429)).unwrap();
+    assert!(refused.contains("retry-after: 1\r\n") && refused.contains("send this one again"), "{refused}");
+    assert!(is(&request(&server, "GET /", &cookie), 200));
     // The token of one server is none of another's.
     let other = serve(folder.path(), ServeOptions::default()).unwrap();
     assert!(is(&request(&other, "GET /api/v1/runs", &bearer(&server)), 401));

@@ -1,0 +1,255 @@
+//! How long slow clients are waited for: that read no answer, that send a body bit by bit, that keep a connection for nothing.
+
+use std::io::{self, IoSlice};
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use hyper::body::{Body, Frame, SizeHint};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::sync::watch;
+use tokio::time::Sleep;
+
+type BoxError = Box<dyn std::error::Error + Send + Sync>;
+
+/// A stream that fails once nothing could be written for a time: its client does not read.
+pub(crate) struct TimedStream<S> {
+    stream: S,
+    time: Duration,
+    /// Runs while nothing can be written.
+    stuck: Option<Pin<Box<Sleep>>>,
+}
+
+impl<S> TimedStream<S> {
+    pub fn new(stream: S, time: Duration) -> TimedStream<S> {
+        TimedStream { stream, time, stuck: None }
+    }
+
+    fn timed<T>(&mut self, cx: &mut Context<'_>, written: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
+        if written.is_ready() {
+            self.stuck = None;
+            return written;
+        }
+        let time = self.time;
+        let stuck = self.stuck.get_or_insert_with(|| Box::pin(tokio::time::sleep(time)));
+        stuck.as_mut().poll(cx).map(|()| Err(io::ErrorKind::TimedOut.into()))
+    }
+}
+
+impl<S: AsyncRead + Unpin> AsyncRead for TimedStream<S> {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        into: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_read(cx, into)
+    }
+}
+
+impl<S: AsyncWrite + Unpin> AsyncWrite for TimedStream<S> {
+    fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        let written = Pin::new(&mut self.stream).poll_write(cx, bytes);
+        self.timed(cx, written)
+    }
+
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        parts: &[IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        let written = Pin::new(&mut self.stream).poll_write_vectored(cx, parts);
+        self.timed(cx, written)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.stream.is_write_vectored()
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        let flushed = Pin::new(&mut self.stream).poll_flush(cx);
+        self.timed(cx, flushed)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        let shut = Pin::new(&mut self.stream).poll_shutdown(cx);
+        self.timed(cx, shut)
+    }
+}
+
+/// A request's body that fails where it is not there after a time.
+pub(crate) struct TimedBody<B> {
+    body: Pin<Box<B>>,
+    end: Pin<Box<Sleep>>,
+}
+
+impl<B> TimedBody<B> {
+    pub fn new(body: B, time: Duration) -> TimedBody<B> {
+        TimedBody { body: Box::pin(body), end: Box::pin(tokio::time::sleep(time)) }
+    }
+}
+
+impl<B> Body for TimedBody<B>
+where
+    B: Body,
+    B::Error: Into<BoxError>,
+{
+    type Data = B::Data;
+    type Error = BoxError;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<B::Data>, BoxError>>> {
+        if let Poll::Ready(frame) = self.body.as_mut().poll_frame(cx) {
+            return Poll::Ready(frame.map(|frame| frame.map_err(Into::into)));
+        }
+        let late = || BoxError::from("the request's body did not come in time");
+        self.end.as_mut().poll(cx).map(|()| Some(Err(late())))
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}
+
+/// A request that is being answered; counted until it is dropped.
+pub(crate) struct OpenRequest(Arc<watch::Sender<usize>>);
+
+impl OpenRequest {
+    pub fn new(open: &Arc<watch::Sender<usize>>) -> OpenRequest {
+        open.send_modify(|count| *count += 1);
+        OpenRequest(open.clone())
+    }
+}
+
+impl Drop for OpenRequest {
+    fn drop(&mut self) {
+        self.0.send_modify(|count| *count -= 1);
+    }
+}
+
+/// An answer's body, whose request is open until all of it is sent: a stream of events as long as somebody follows it.
+pub(crate) struct CountedBody {
+    body: axum::body::Body,
+    _request: OpenRequest,
+}
+
+impl CountedBody {
+    pub fn new(body: axum::body::Body, request: OpenRequest) -> CountedBody {
+        CountedBody { body, _request: request }
+    }
+}
+
+impl Body for CountedBody {
+    type Data = <axum::body::Body as Body>::Data;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Self::Data>, axum::Error>>> {
+        Pin::new(&mut self.body).poll_frame(cx)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}
+
+/// Returns once no request has been open for a time.
+pub(crate) async fn idle(mut open: watch::Receiver<usize>, time: Duration) {
+    loop {
+        let busy = *open.borrow_and_update() > 0;
+        let changed = open.changed();
+        let over = match busy {
+            true => changed.await.is_err(),
+            false => !tokio::time::timeout(time, changed).await.is_ok_and(|changed| changed.is_ok()),
+        };
+        if over {
+            return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::future::poll_fn;
+    use tokio::net::{TcpListener, TcpStream};
+
+    /// The patience of these tests.
+    const SHORT: Duration = Duration::from_millis(40);
+    /// Longer than anything may take.
+    const LONG: Duration = Duration::from_secs(60);
+
+    fn wait<T>(work: impl Future<Output = T>) -> T {
+        tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(work)
+    }
+
+    #[test]
+    fn a_client_that_does_not_read_is_dropped() {
+        wait(async {
+            let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+            let client = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
+            let (stream, _) = listener.accept().await.unwrap();
+            let mut stream = TimedStream::new(stream, SHORT);
+            let bytes = vec![0; 1 << 18];
+            let failed = async {
+                loop {
+                    if let Err(e) = poll_fn(|cx| Pin::new(&mut stream).poll_write(cx, &bytes)).await {
+                        return e;
+                    }
+                }
+            };
+            assert_eq!(tokio::time::timeout(LONG, failed).await.unwrap().kind(), io::ErrorKind::TimedOut);
+            drop(client);
+        });
+    }
+
+    /// A body of which nothing comes.
+    struct EndlessBody;
+
+    impl Body for EndlessBody {
+        type Data = io::Cursor<Vec<u8>>;
+        type Error = BoxError;
+
+        fn poll_frame(
+            self: Pin<&mut Self>,
+            _: &mut Context<'_>,
+        ) -> Poll<Option<Result<Frame<Self::Data>, BoxError>>> {
+            Poll::Pending
+        }
+    }
+
+    #[test]
+    fn a_body_that_never_comes_is_not_waited_for() {
+        wait(async {
+            let mut body = TimedBody::new(EndlessBody, SHORT);
+            let frame = tokio::time::timeout(LONG, poll_fn(|cx| Pin::new(&mut body).poll_frame(cx)));
+            let error = frame.await.unwrap().unwrap().unwrap_err();
+            assert!(error.to_string().contains("in time"), "{error}");
+        });
+    }
+
+    #[test]
+    fn a_connection_is_idle_once_its_last_request_is_over() {
+        wait(async {
+            let (open, requests) = watch::channel(0);
+            let open = Arc::new(open);
+            let followed = OpenRequest::new(&open);
+            // Events are followed for as long as somebody wants them.
+            assert!(tokio::time::timeout(3 * SHORT, idle(requests.clone(), SHORT)).await.is_err());
+            drop(followed);
+            assert!(tokio::time::timeout(LONG, idle(requests, SHORT)).await.is_ok());
+        });
+    }
+}
