@@ -81,8 +81,8 @@ pub use run::{
 pub use segwild_segmenter::AnswerStep;
 pub use segwild_trainer::{AppearanceChoice, BudgetChoice, Preset};
 pub use session::{
-    Answer, PendingAnswer, SegmentOutcome, Session, SessionOptions, ShownParts, ShownScene, export_objects,
-    list_objects, segment,
+    Answer, PackedSplats, PendingAnswer, SegmentOutcome, Session, SessionOptions, ShownParts, ShownScene,
+    export_objects, list_objects, segment,
 };
 pub use settings::{EngineKind, RunBudget, RunSettings, Scoring, Settings, SettingsError, WhenLost, renamed};
 pub use transients::{TrainFit, TransientScore, TransientScores, score_transients};

@@ -8,7 +8,7 @@ use futures_util::stream::{self, BoxStream};
 use segwild_farm::{EmbeddedEngine, EngineError, JobEngine, JobState};
 use segwild_flow::Stopper;
 use segwild_monitor::{MonitorTarget, MonitorView};
-use segwild_pipeline::RunError;
+use segwild_pipeline::{PackedSplats, RunError};
 use std::sync::{Arc, Weak};
 use tokio::sync::watch;
 
@@ -176,6 +176,20 @@ impl Drop for StopsWithRequest {
     fn drop(&mut self) {
         self.0.stop();
     }
+}
+
+/// All splats, packed, in parts as the client takes them.
+pub(crate) async fn splats(
+    runs: &Runs,
+    run: &str,
+    appearance: Option<usize>,
+) -> Answered<BoxStream<'static, Vec<u8>>> {
+    let packed = answered(runs, run, move |studio| studio.packed(appearance)).await?;
+    let next = |mut packed: PackedSplats| async move {
+        let part = tokio::task::spawn_blocking(move || packed.next().map(|part| (part, packed)));
+        part.await.ok()?
+    };
+    Ok(stream::unfold(packed, next).boxed())
 }
 
 /// What objects change of the splats, packed, and its version.

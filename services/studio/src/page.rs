@@ -24,6 +24,7 @@ const FILES: &[PageFile] = files! {
     "icon.svg": "image/svg+xml",
     "main.js": SCRIPT,
     "api.js": SCRIPT,
+    "budget.js": SCRIPT,
     "geometry.js": SCRIPT,
     "objects.js": SCRIPT,
     "overlay.js": SCRIPT,

@@ -3,7 +3,7 @@
 use crate::calls::{self, Answered, JPEG, OCTETS, PNG, Refusal, RefusalKind, Runs, SHOWN_SIZE, answered};
 use crate::messages::{FrameRequest, HoverRequest, PickRequest, StateMessage, StudioAction};
 use crate::page;
-use axum::body::Bytes;
+use axum::body::{Body, Bytes};
 use axum::extract::{Path, Query, Request, State};
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::sse::{Event, KeepAlive, Sse};
@@ -13,6 +13,7 @@ use axum::{Json, Router};
 use futures_util::StreamExt;
 use segwild_scene::SplatFormat;
 use serde::Deserialize;
+use std::convert::Infallible;
 use std::time::Duration;
 
 /// What the paths of the API start with.
@@ -251,8 +252,9 @@ async fn labels(State(runs): State<Runs>, Path((run, photo)): Path<(String, Stri
 async fn splats(State(runs): State<Runs>, Path(run): Path<String>, request: Request) -> Answered<Response> {
     let appearance = request.uri().query().and_then(|query| query.strip_prefix("appearance="));
     let appearance = appearance.map(number::<usize>).transpose()?;
-    let bytes = answered(&runs, &run, move |studio| studio.packed(appearance)).await?;
-    Ok(([(header::CONTENT_TYPE, OCTETS)], bytes).into_response())
+    let parts = calls::splats(&runs, &run, appearance).await?;
+    let body = Body::from_stream(parts.map(Ok::<_, Infallible>));
+    Ok(([(header::CONTENT_TYPE, OCTETS)], body).into_response())
 }
 
 async fn changes(State(runs): State<Runs>, Path(run): Path<String>) -> Answered<Response> {

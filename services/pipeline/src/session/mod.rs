@@ -28,6 +28,7 @@ mod viewing;
 
 pub use answer::{Answer, PendingAnswer};
 pub use objects::{export_objects, list_objects};
+pub use packed::PackedSplats;
 pub use resident::{Session, SessionOptions};
 pub use save::SegmentOutcome;
 pub use segment::segment;

@@ -7,25 +7,95 @@ use crate::artifacts::selected::Shortened;
 use crate::output::light::BlendedAppearance;
 use segwild_flow::{Phase, Stopper};
 use segwild_scene::Splats;
+use segwild_segmenter::scene_tree::{NONE, SceneTree};
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
+/// Splats of a chunk: whole rows of the page's textures, and less than a mebibyte with harmonics of degree 3.
+const CHUNK: usize = 4096;
+
+/// The splats for a program that rasterises them itself, little-endian, in parts. Those that contribute most come first, so that
+/// some of the first parts show most of the scene.
+///
+/// The first part is the head, as `u32`: number of splats, degree of the harmonics, whether opacities are compensated for the pixel
+/// filter, and splats of a chunk. Each further part is a chunk, the last one with what is left: the splats' indices in the scene
+/// (`u32`), then as `f32` all centres (3), opacities in [0, 1] (1), upper triangles of the covariances (6), and colour
+/// coefficients (3 per basis function).
+pub struct PackedSplats {
+    splats: Splats,
+    antialias: bool,
+    /// Indices of the splats, by contribution.
+    order: Vec<u32>,
+    /// Splats that are packed already; `None` before the head.
+    packed: Option<usize>,
+}
+
+impl PackedSplats {
+    fn new(splats: Splats, antialias: bool, tree: Option<&SceneTree>) -> PackedSplats {
+        let order = by_contribution(&splats, tree);
+        PackedSplats { splats, antialias, order, packed: None }
+    }
+}
+
+impl Iterator for PackedSplats {
+    type Item = Vec<u8>;
+
+    fn next(&mut self) -> Option<Vec<u8>> {
+        let PackedSplats { splats, antialias, order, packed } = self;
+        let Some(first) = *packed else {
+            let mut head = Vec::new();
+            let antialias = u32::from(*antialias);
+            add_counts(&mut head, [splats.len() as u32, splats.sh_degree, antialias, CHUNK as u32]);
+            *packed = Some(0);
+            return Some(head);
+        };
+        let chunk = &order[first..order.len().min(first + CHUNK)];
+        if chunk.is_empty() {
+            return None;
+        }
+        *packed = Some(first + chunk.len());
+        let (stride, all) = (splats.sh_stride(), || chunk.iter().map(|i| *i as usize));
+        let mut bytes = Vec::with_capacity(4 * chunk.len() * (11 + stride));
+        add_counts(&mut bytes, chunk.iter().copied());
+        all().for_each(|i| add_numbers(&mut bytes, &splats.means[i]));
+        all().for_each(|i| add_numbers(&mut bytes, &[splats.opacity(i)]));
+        all().for_each(|i| add_numbers(&mut bytes, &upper_triangle(splats, i)));
+        all().for_each(|i| add_numbers(&mut bytes, &splats.sh[stride * i..][..stride]));
+        Some(bytes)
+    }
+}
+
+/// The splats in the order of what they contribute, the largest first: the light that all views see of them, which the scene tree
+/// has. Those without, and all where there is no tree, come by opacity times area, the product of the two longest axes.
+fn by_contribution(splats: &Splats, tree: Option<&SceneTree>) -> Vec<u32> {
+    let light = |i: usize| -> Option<f32> {
+        let tree = tree?;
+        let leaf = *tree.leaf.get(i).filter(|leaf| **leaf != NONE)?;
+        Some(tree.trees.first()?.groups.get(leaf as usize)?.area)
+    };
+    let area = |i: usize| {
+        let scales = splats.log_scales[i];
+        let shortest = scales.into_iter().fold(f32::INFINITY, f32::min);
+        splats.opacity(i) * (scales.iter().sum::<f32>() - shortest).exp()
+    };
+    let contribution: Vec<[f32; 2]> = (0..splats.len()).map(|i| [light(i).unwrap_or(0.0), area(i)]).collect();
+    let larger = |a: &u32, b: &u32| -> Ordering {
+        let (a, b) = (contribution[*a as usize], contribution[*b as usize]);
+        b[0].total_cmp(&a[0]).then(b[1].total_cmp(&a[1]))
+    };
+    let mut order: Vec<u32> = (0..splats.len() as u32).collect();
+    order.sort_by(larger);
+    order
+}
+
 impl Session {
-    /// The splats for a program that rasterises them itself, little-endian: number of splats, degree of the harmonics, and
-    /// whether opacities are compensated for the pixel filter, as `u32`; then as `f32` all centres (3), opacities in [0, 1]
-    /// (1), upper triangles of the covariances (6), and colour coefficients (3 per basis function).
+    /// The splats for a program that rasterises them itself.
     ///
     /// # Errors
     /// When the photo `appearance` is unknown or took no part in the training.
-    pub fn packed_splats(&self, appearance: &BlendedAppearance) -> Result<Vec<u8>, RunError> {
-        let splats = self.in_colour(appearance)?;
-        let n = splats.len();
-        let mut bytes = Vec::with_capacity(12 + 4 * (10 * n + splats.sh.len()));
-        add_counts(&mut bytes, [n as u32, splats.sh_degree, u32::from(self.model.antialias)]);
-        add_numbers(&mut bytes, splats.means.as_flattened());
-        add_numbers(&mut bytes, &(0..n).map(|i| splats.opacity(i)).collect::<Vec<f32>>());
-        (0..n).for_each(|i| add_numbers(&mut bytes, &upper_triangle(&splats, i)));
-        add_numbers(&mut bytes, &splats.sh);
-        Ok(bytes)
+    pub fn packed_splats(&self, appearance: &BlendedAppearance) -> Result<PackedSplats, RunError> {
+        let tree = self.tree().map(|tree| &**tree);
+        Ok(PackedSplats::new(self.in_colour(appearance)?, self.model.antialias, tree))
     }
 
     /// What `parts.cut` and `parts.appearances` change of [`Session::packed_splats`], little-endian: numbers of splats with
@@ -89,4 +159,41 @@ fn add_numbers(bytes: &mut Vec<u8>, numbers: &[f32]) {
 fn upper_triangle(splats: &Splats, i: usize) -> [f32; 6] {
     let [[xx, xy, xz], [_, yy, yz], [_, _, zz]] = splats.covariance(i).to_cols_array_2d();
     [xx, xy, xz, yy, yz, zz]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Splats of which the largest is the last.
+    fn growing(n: usize) -> Splats {
+        Splats {
+            means: (0..n).map(|i| [i as f32, 0.0, 0.0]).collect(),
+            log_scales: (0..n).map(|i| [(i as f32 + 1.0).ln(), 0.0, -1.0]).collect(),
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            opacities: vec![0.0; n],
+            sh_degree: 1,
+            sh: (0..12 * n).map(|k| k as f32).collect(),
+        }
+    }
+
+    fn number(bytes: &[u8], at: usize) -> u32 {
+        u32::from_le_bytes(bytes[4 * at..][..4].try_into().unwrap())
+    }
+
+    #[test]
+    fn parts_come_by_contribution_and_fit_into_a_message() {
+        let n = CHUNK + 5;
+        let mut packed = PackedSplats::new(growing(n), true, None);
+        let head = packed.next().unwrap();
+        assert_eq!([0, 1, 2, 3].map(|k| number(&head, k)), [n as u32, 1, 1, CHUNK as u32]);
+        let chunks: Vec<Vec<u8>> = packed.collect();
+        assert_eq!(chunks.iter().map(Vec::len).collect::<Vec<_>>(), [CHUNK, 5].map(|k| 4 * k * (11 + 12)));
+        let indices = (0..n).map(|k| number(&chunks[k / CHUNK], k % CHUNK));
+        assert!(indices.eq((0..n as u32).rev()));
+        // The centre and the colour of the second splat of the last chunk.
+        let last = |at: usize| f32::from_bits(number(&chunks[1], at));
+        assert_eq!((last(5 + 3), last(5 * 11 + 12)), (3.0, 36.0));
+        const { assert!(4 * CHUNK * (11 + 3 * 16) < 1 << 20) };
+    }
 }

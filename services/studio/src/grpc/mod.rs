@@ -165,8 +165,9 @@ impl Session for SessionService {
     async fn splats(&self, request: Request<v1::SplatsRequest>) -> Reply<Self::SplatsStream> {
         let v1::SplatsRequest { run, appearance } = request.into_inner();
         let photo = appearance.map(|photo| photo as usize);
-        let packed = answered(&self.runs, &run, move |studio| studio.packed(photo)).await?;
-        unnamed(packed, OCTETS)
+        let mut head = Some(v1::FilePart { media_type: OCTETS.into(), ..Default::default() });
+        let part = move |bytes| Ok(v1::FilePart { bytes, ..head.take().unwrap_or_default() });
+        reply(calls::splats(&self.runs, &run, photo).await?.map(part).boxed())
     }
 
     async fn changes(&self, request: Request<v1::RunRequest>) -> Reply<Self::ChangesStream> {

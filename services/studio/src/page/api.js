@@ -137,7 +137,7 @@ export class Run {
     return (await this.post("pick", at)).json();
   }
 
-  /** @param {View & {marks: boolean}} view @returns {Promise<Blob>} */
+  /** @param {View & {marks: boolean, background?: boolean}} view @returns {Promise<Blob>} */
   async frame(view) {
     return (await this.post("frame", view)).blob();
   }
@@ -170,6 +170,11 @@ export class Run {
   /** @param {string} path */
   async bytes(path) {
     return (await send(`${this.base}/${path}`)).arrayBuffer();
+  }
+
+  /** A file as it arrives. @param {string} path @param {AbortSignal} signal */
+  async stream(path, signal) {
+    return (await send(`${this.base}/${path}`, { signal })).body;
   }
 
   /** What objects change of the splats, and its version. @param {AbortSignal} signal @returns {Promise<{version: string, bytes: ArrayBuffer}>} */

@@ -1,6 +1,7 @@
 // The 3D view: its camera, who draws it, clicks and strokes in it.
 
 import { add, centreOf, cross, dot, fitted, length, pose, project, rotate, scale, scaled, subtract, transposed, turned, unit } from "./geometry.js";
+import { FRAME, LEAST_SPLATS, SplatBudget } from "./budget.js";
 import { ANSWER, ANSWER_COLOUR } from "./overlay.js";
 import { drawStroke } from "./photos.js";
 import { HIDDEN, SplatView } from "./splats.js";
@@ -17,8 +18,10 @@ const DOUBLE = 220;
 const REST = 120;
 /** Longest side that the server draws, in motion and at rest. */
 const SIDES = [480, 1280];
-/** Milliseconds that a frame of the browser's may take: 30 a second. */
-const FRAME = 1000 / 30;
+/** Longest side of what stands behind the browser's splats: it is smooth, so a small image will do. */
+const BACKGROUND = 96;
+/** Frames in which the number of splats of a moving camera is found. */
+const MEASURED = 8;
 /** Cameras that are shown. */
 const MOST_CAMERAS = 400;
 /** Bytes of changes of splats that are kept. */
@@ -43,6 +46,14 @@ export class ScenePane {
     /** Who draws: "server", "browser", or not decided. @type {"server" | "browser" | null} */
     this.drawer = null;
     this.view3 = /** @type {SplatView | null} */ (null);
+    /** How many splats the browser renders while the camera moves. */
+    this.budget = new SplatBudget();
+    /** Ends the arrival of splats. @type {AbortController | null} */
+    this.loading = null;
+    /** The view whose background is shown. */
+    this.backdrop = "";
+    /** The background that is on its way. @type {Promise<void> | null} */
+    this.requested = null;
     this.loaded = "";
     this.marked = "";
     /** The version of what objects change of the splats that are loaded. */
@@ -282,22 +293,28 @@ export class ScenePane {
     of("rendered-by").textContent = text(this.drawer === "browser" ? "rendered_by_browser" : "rendered_by_server");
   }
 
-  /** Who draws: the browser where it reaches 30 frames a second, by measurement. @returns {Promise<"browser" | "server">} */
+  /** Who draws: the browser where it reaches 30 frames a second with enough splats, by measurement. @returns {Promise<"browser" | "server">} */
   async choose() {
     try {
       const view3 = await this.prepare();
-      if (view3.software) return "server";
+      if (view3.software || !view3.arrived) return "server";
+      this.budget = new SplatBudget();
       const view = this.full(), times = [];
-      for (let k = 0; k < 4; k++) {
-        const began = performance.now();
-        view3.draw(view);
-        view3.finish();
-        times.push(performance.now() - began);
-      }
+      for (let k = 0; k < MEASURED; k++) times.push(this.drawMeasured(view3, view));
       return Math.min(...times) < FRAME ? "browser" : "server";
     } catch {
       return "server";
     }
+  }
+
+  /** Draws a frame of a moving camera; returns its milliseconds. @param {SplatView} view3 @param {View} view */
+  drawMeasured(view3, view) {
+    const began = performance.now();
+    view3.draw(view, this.budget.splats);
+    view3.finish();
+    const time = performance.now() - began;
+    this.budget.measured(time, view3.rendered);
+    return time;
   }
 
   /** Lets the other one draw. */
@@ -319,18 +336,43 @@ export class ScenePane {
     return `${app.run.name}/${app.description.snapshot}/${JSON.stringify(app.state?.appearance)}`;
   }
 
-  /** @param {string} wanted */
+  /** Takes the splats of the scene; returns once there are enough to show something. @param {string} wanted */
   async load(wanted) {
-    this.view3?.load(await this.app.run.bytes("splats"));
-    this.loaded = wanted;
-    this.marked = "";
-    this.changed = "";
-    this.changedFor = -1;
+    const { app, view3 } = this, loading = new AbortController();
+    this.loading?.abort();
+    this.loading = loading;
+    if (!view3) return;
+    let shown = false;
+    await new Promise((/** @type {(value?: unknown) => void} */ done, failed) => {
+      const show = () => {
+        if (view3.arrived < Math.min(view3.n || Infinity, LEAST_SPLATS)) return;
+        shown = true;
+        done();
+        this.redraw();
+      };
+      const arrive = async () => {
+        const stream = await app.run.stream("splats", loading.signal);
+        this.loaded = wanted;
+        this.marked = "";
+        this.changed = "";
+        this.changedFor = -1;
+        if (stream) await view3.receive(stream, show);
+      };
+      arrive().then(done, error => {
+        // Others are on their way then.
+        if (loading.signal.aborted) return done();
+        this.loaded = "";
+        if (shown) app.failed(error);
+        failed(error);
+      });
+    });
   }
 
-  /** Forgets the changes of a run. */
+  /** Forgets the splats and the changes of a run. */
   forget() {
+    this.loading?.abort();
     this.loaded = "";
+    this.backdrop = "";
     this.changes.clear();
     this.changing?.stop.abort();
     this.changing = null;
@@ -340,6 +382,8 @@ export class ScenePane {
   /** Shows cut shapes and objects' own appearances as the state has them; those that are not here yet are requested. */
   followChanges() {
     const { state } = this.app, version = state?.changes ?? "", known = version ? this.changes.get(version) : null;
+    // What changes may be still to come.
+    if (!this.view3 || this.view3.arrived < this.view3.n) return;
     if (this.changing && this.changing.version !== version) {
       this.changing.stop.abort();
       this.changing = null;
@@ -383,11 +427,8 @@ export class ScenePane {
   async drawThere(whole) {
     const view = this.full(), long = Math.max(view.camera.width, view.camera.height);
     const camera = scaled(view.camera, Math.min(1, SIDES[+whole] / long));
-    const blob = await this.app.run.frame({ ...view, camera, marks: this.marks });
-    const url = URL.createObjectURL(blob), before = frame.src;
-    frame.src = url;
-    await frame.decode().catch(() => {});
-    if (before.startsWith("blob:")) URL.revokeObjectURL(before);
+    await this.show(await this.app.run.frame({ ...view, camera, marks: this.marks }));
+    this.backdrop = "";
   }
 
   /** @param {boolean} whole */
@@ -407,16 +448,44 @@ export class ScenePane {
       this.marked = marked;
     }
     const view = this.full();
-    view3.draw(view);
-    if (whole) {
-      // What stands behind the splats is smooth: a small image will do.
-      const camera = scaled(view.camera, 96 / Math.max(view.camera.width, view.camera.height));
-      const blob = await app.run.frame(/** @type {any} */ ({ ...view, camera, marks: false, background: true }));
-      const url = URL.createObjectURL(blob), before = frame.src;
-      frame.src = url;
-      await frame.decode().catch(() => {});
-      if (before.startsWith("blob:")) URL.revokeObjectURL(before);
-    }
+    // At rest all of them, also those that arrive later.
+    if (whole) view3.draw(view);
+    else this.drawMeasured(view3, view);
+    const background = this.drawBackground(view, whole);
+    if (whole) await background;
+    else background.catch(error => app.failed(error));
     await new Promise(requestAnimationFrame);
+  }
+
+  /**
+   * Shows what stands behind the splats of a view: one request at a time. A moving camera does not wait for it, and gets the newest.
+   * @param {View} view @param {boolean} whole
+   */
+  async drawBackground(view, whole) {
+    const { app } = this, { run } = app, wanted = `${JSON.stringify(view)}/${app.state?.revision}`;
+    if (this.requested && !whole) return;
+    await this.requested?.catch(() => {});
+    if (this.backdrop === wanted) return;
+    const request = async () => {
+      const camera = scaled(view.camera, BACKGROUND / Math.max(view.camera.width, view.camera.height));
+      const blob = await run.frame({ ...view, camera, marks: false, background: true });
+      if (this.drawer !== "browser" || run !== app.run) return;
+      await this.show(blob);
+      this.backdrop = wanted;
+    };
+    this.requested = request();
+    try {
+      await this.requested;
+    } finally {
+      this.requested = null;
+    }
+  }
+
+  /** Shows an image of the server's. @param {Blob} blob */
+  async show(blob) {
+    const url = URL.createObjectURL(blob), before = frame.src;
+    frame.src = url;
+    await frame.decode().catch(() => {});
+    if (before.startsWith("blob:")) URL.revokeObjectURL(before);
   }
 }

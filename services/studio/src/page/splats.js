@@ -12,6 +12,10 @@ const HIGHLIGHT = 115;
 const HIDDEN = 255;
 /** Nearest depth that is drawn. */
 const NEAR = 0.01;
+/** Bytes of the head of the server's packed splats. */
+const HEAD = 16;
+/** Numbers of a packed splat before its colour: index, centre, opacity, covariance. */
+const BEFORE_COLOURS = 11;
 
 const VERTEX = `#version 300 es
 precision highp float; precision highp int; precision highp sampler2D;
@@ -84,10 +88,16 @@ export class SplatView {
     this.copy = this.link(COPY_VERTEX, COPY_FRAGMENT);
     this.textures = /** @type {WebGLTexture[]} */ ([]);
     this.frame = /** @type {WebGLFramebuffer | null} */ (null);
+    /** Splats of the scene, of which so many have arrived. They are kept in the order in which they come: by contribution. */
     this.n = 0;
+    this.arrived = 0;
+    /** Splats of the last frame. */
+    this.rendered = 0;
+    /** The splats' labels, and how each label is marked. @type {{labels: Uint8Array, colours: (number[] | null)[]}} */
+    this.marking = { labels: new Uint8Array(0), colours: [] };
     /** What changed splats were before, in order. @type {{to: Float32Array, size: number, splats: Uint32Array, before: Float32Array}[]} */
     this.undoings = [];
-    this.shaded = "";
+    this.shaded = { eye: "", count: 0 };
     gl.useProgram(this.program);
     for (const [unit, name] of ["geometry", "colours", "marks"].entries()) gl.uniform1i(this.at(name), unit);
     gl.useProgram(this.copy);
@@ -142,32 +152,95 @@ export class SplatView {
     gl.texImage2D(gl.TEXTURE_2D, 0, internal, width, height, 0, gl.RGBA, type, data);
   }
 
-  /** Takes the server's packed arrays. @param {ArrayBuffer} packed */
+  /** Takes all of the server's packed splats. @param {ArrayBuffer} packed */
   load(packed) {
-    const [n, degree, compensated] = new Uint32Array(packed, 0, 3), values = new Float32Array(packed, 12), { gl } = this;
-    const h = Math.max(1, Math.ceil(n / ROW));
+    for (let at = 0, size = HEAD; size; size = this.missing()) {
+      this.take(packed.slice(at, at + size), at === 0);
+      at += size;
+    }
+  }
+
+  /**
+   * Takes the server's packed splats as they come, the largest contributions first.
+   * @param {ReadableStream<Uint8Array>} stream @param {() => void} arrived called after each part of the stream
+   */
+  async receive(stream, arrived) {
+    const reader = stream.getReader();
+    let part = new Uint8Array(HEAD), filled = 0, head = true;
+    for (;;) {
+      const { done, value } = await reader.read();
+      if (done) break;
+      for (let at = 0; at < value.length && part.length;) {
+        const count = Math.min(part.length - filled, value.length - at);
+        part.set(value.subarray(at, at + count), filled);
+        at += count;
+        filled += count;
+        if (filled < part.length) break;
+        this.take(part.buffer, head);
+        [part, filled, head] = [new Uint8Array(this.missing()), 0, false];
+      }
+      arrived();
+    }
+    if (part.length) throw new TypeError("the splats are incomplete");
+  }
+
+  /** Bytes of the chunk of splats that comes next. */
+  missing() {
+    return 4 * Math.min(this.chunk ?? 0, this.n - this.arrived) * (BEFORE_COLOURS + 3 * (this.functions ?? 0));
+  }
+
+  /** Takes the head of the packed splats, or their next chunk. @param {ArrayBuffer} part @param {boolean} head */
+  take(part, head) {
+    if (head) return this.prepare(new Uint32Array(part));
+    const { gl, arrived, means, opacities, covariances, harmonics, indices, slots, functions: K } = this;
+    if (!means || !opacities || !covariances || !harmonics || !indices || !slots || !K) return;
+    const count = part.byteLength / 4 / (BEFORE_COLOURS + 3 * K), values = new Float32Array(part);
+    indices.set(new Uint32Array(part, 0, count), arrived);
+    for (let i = arrived; i < arrived + count; i++) slots[indices[i]] = i;
+    let at = count;
+    for (const [to, size] of /** @type {[Float32Array, number][]} */ ([[means, 3], [opacities, 1], [covariances, 6], [harmonics, 3 * K]])) {
+      to.set(values.subarray(at, at + size * count), size * arrived);
+      at += size * count;
+    }
+    this.arrived += count;
+    const row = Math.floor(arrived / ROW), rows = Math.ceil(this.arrived / ROW) - row;
+    gl.activeTexture(gl.TEXTURE0);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, ROW * 3, rows, gl.RGBA, gl.FLOAT, this.geometry(row, rows));
+    this.markRows(row, rows);
+  }
+
+  /** Makes space for a scene: splats, degree of the harmonics, whether opacities are compensated, splats of a chunk. @param {Uint32Array} head */
+  prepare([n, degree, compensated, chunk]) {
+    const { gl } = this, h = Math.max(1, Math.ceil(n / ROW));
     this.n = n;
+    this.arrived = 0;
+    this.chunk = chunk;
     this.rows = h;
     this.compensated = compensated;
-    this.means = values.subarray(0, 3 * n);
-    this.opacities = values.subarray(3 * n, 4 * n);
-    this.covariances = values.subarray(4 * n, 10 * n);
     this.functions = (degree + 1) ** 2;
-    this.harmonics = values.subarray(10 * n);
-    this.undoings = [];
-    this.texture(0, ROW * 3, h, gl.RGBA32F, gl.FLOAT, this.geometry(0, h));
+    this.means = new Float32Array(3 * n);
+    this.opacities = new Float32Array(n);
+    this.covariances = new Float32Array(6 * n);
+    this.harmonics = new Float32Array(3 * this.functions * n);
+    /** The number in the scene of each splat, and the reverse. */
+    this.indices = new Uint32Array(n);
+    this.slots = new Uint32Array(n);
     this.rgb = new Float32Array(ROW * h * 4);
     this.order = new Uint32Array(n);
     this.depths = new Float32Array(n);
-    this.shaded = "";
-    this.mark(new Uint8Array(n), () => null);
+    this.undoings = [];
+    this.shaded = { eye: "", count: 0 };
+    this.marking = { labels: new Uint8Array(0), colours: [] };
+    this.texture(0, ROW * 3, h, gl.RGBA32F, gl.FLOAT, null);
+    this.texture(1, ROW, h, gl.RGBA32F, gl.FLOAT, null);
+    this.texture(2, ROW, h, gl.RGBA8, gl.UNSIGNED_BYTE, null);
   }
 
   /** Rows of the texture of shapes: centre, opacity, covariance. @param {number} from @param {number} rows */
   geometry(from, rows) {
-    const { n, means, opacities, covariances } = this, texels = new Float32Array(ROW * 3 * rows * 4);
+    const { arrived, means, opacities, covariances } = this, texels = new Float32Array(ROW * 3 * rows * 4);
     if (!means || !opacities || !covariances) return texels;
-    for (let i = from * ROW, o = 0; i < Math.min(n, (from + rows) * ROW); i++, o += 12) {
+    for (let i = from * ROW, o = 0; i < Math.min(arrived, (from + rows) * ROW); i++, o += 12) {
       for (let k = 0; k < 3; k++) texels[o + k] = means[3 * i + k];
       texels[o + 3] = opacities[i];
       for (let k = 0; k < 6; k++) texels[o + 4 + k] = covariances[6 * i + k];
@@ -176,12 +249,13 @@ export class SplatView {
   }
 
   /**
-   * Changes shapes and colours of splats by the server's packed arrays; what an earlier call changed becomes as it was loaded.
+   * Changes shapes and colours of splats, which have all arrived, by the server's packed arrays; what an earlier call changed becomes as
+   * it was loaded.
    * @param {ArrayBuffer | null} packed
    */
   change(packed) {
-    const { gl, means, covariances, harmonics, functions: K } = this;
-    if (!means || !covariances || !harmonics || !K) return;
+    const { gl, means, covariances, harmonics, slots, functions: K } = this;
+    if (!means || !covariances || !harmonics || !slots || !K) return;
     const touched = /** @type {Set<number>} */ (new Set());
     /** Takes numbers for splats, and keeps what they were. @param {Float32Array} to @param {number} size @param {Uint32Array} splats @param {Float32Array} values */
     const take = (to, size, splats, values) => {
@@ -198,8 +272,8 @@ export class SplatView {
     if (packed) {
       const [shapes, colours, degree] = new Uint32Array(packed, 0, 3);
       if ((degree + 1) ** 2 !== K) return;
-      const cut = new Uint32Array(packed, 12, shapes), floats = new Float32Array(packed, 12);
-      const lit = new Uint32Array(packed, 12 + 40 * shapes, colours);
+      const own = (/** @type {Uint32Array} */ splats) => splats.map(i => slots[i]), floats = new Float32Array(packed, 12);
+      const cut = own(new Uint32Array(packed, 12, shapes)), lit = own(new Uint32Array(packed, 12 + 40 * shapes, colours));
       this.undoings = [
         take(means, 3, cut, floats.subarray(shapes, 4 * shapes)),
         take(covariances, 6, cut, floats.subarray(4 * shapes, 10 * shapes)),
@@ -208,30 +282,36 @@ export class SplatView {
     }
     gl.activeTexture(gl.TEXTURE0);
     for (const row of touched) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, ROW * 3, 1, gl.RGBA, gl.FLOAT, this.geometry(row, 1));
-    this.shaded = "";
+    this.shaded.eye = "";
   }
 
   /** Colours splats by their labels; `null` is no mark, and an alpha of 255 hides. @param {Uint8Array} labels @param {(label: number) => number[] | null} colour */
   mark(labels, colour) {
-    const { gl } = this, marks = new Uint8Array(ROW * (this.rows ?? 1) * 4), known = /** @type {(number[] | null)[]} */ ([]);
-    for (let i = 0; i < this.n; i++) {
-      const label = labels[i];
-      if (!label) continue;
-      if (known[label] === undefined) known[label] = colour(label);
-      const rgb = known[label];
-      if (rgb) marks.set([rgb[0], rgb[1], rgb[2], rgb[3] ?? HIGHLIGHT], 4 * i);
-    }
-    this.texture(2, ROW, this.rows ?? 1, gl.RGBA8, gl.UNSIGNED_BYTE, marks);
+    // A byte has so many values.
+    this.marking = { labels, colours: Array.from({ length: 256 }, (_, label) => (label ? colour(label) : null)) };
+    this.markRows(0, Math.ceil(this.arrived / ROW));
   }
 
-  /** Colours as seen from a position. @param {number[]} eye */
-  shade(eye) {
-    const { n, means, rgb, harmonics, functions: K, gl } = this;
-    if (this.shaded === eye.join() || !means || !rgb || !harmonics || !K) return;
-    this.shaded = eye.join();
+  /** Marks rows of splats. @param {number} from @param {number} rows */
+  markRows(from, rows) {
+    const { gl, arrived, indices, marking: { labels, colours } } = this, marks = new Uint8Array(ROW * rows * 4);
+    if (!indices || !rows) return;
+    for (let i = from * ROW, o = 0; i < Math.min(arrived, (from + rows) * ROW); i++, o += 4) {
+      const rgb = colours[labels[indices[i]]];
+      if (rgb) marks.set([rgb[0], rgb[1], rgb[2], rgb[3] ?? HIGHLIGHT], o);
+    }
+    gl.activeTexture(gl.TEXTURE2);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, from, ROW, rows, gl.RGBA, gl.UNSIGNED_BYTE, marks);
+  }
+
+  /** Colours of the first splats as seen from a position. @param {number[]} eye @param {number} n */
+  shade(eye, n) {
+    const { means, rgb, harmonics, functions: K, gl, shaded } = this, from = shaded.eye === eye.join() ? shaded.count : 0;
+    if (from >= n || !means || !rgb || !harmonics || !K) return;
+    this.shaded = { eye: eye.join(), count: n };
     const B = new Float64Array(16);
     B[0] = 0.28209479;
-    for (let i = 0; i < n; i++) {
+    for (let i = from; i < n; i++) {
       if (K > 1) {
         let x = means[3 * i] - eye[0], y = means[3 * i + 1] - eye[1], z = means[3 * i + 2] - eye[2];
         const l = 1 / (Math.sqrt(x * x + y * y + z * z) || 1);
@@ -254,12 +334,14 @@ export class SplatView {
         rgb[4 * i + c] = Math.max(v, 0);
       }
     }
-    this.texture(1, ROW, this.rows ?? 1, gl.RGBA32F, gl.FLOAT, rgb);
+    const row = Math.floor(from / ROW), rows = Math.ceil(n / ROW) - row;
+    gl.activeTexture(gl.TEXTURE1);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, ROW, rows, gl.RGBA, gl.FLOAT, rgb.subarray(4 * ROW * row, 4 * ROW * (row + rows)));
   }
 
-  /** Orders splats from far to near, by counting 16-bit depths. @param {number[]} R @param {number[]} t */
-  sort(R, t) {
-    const { n, means, order, depths, gl } = this, last = 65535;
+  /** Orders the first splats from far to near, by counting 16-bit depths. @param {number[]} R @param {number[]} t @param {number} n */
+  sort(R, t, n) {
+    const { means, order, depths, gl } = this, last = 65535;
     if (!means || !order || !depths) return;
     let [low, high] = [Infinity, -Infinity];
     for (let i = 0; i < n; i++) {
@@ -278,18 +360,20 @@ export class SplatView {
     }
     for (let k = 0; k <= last; k++) count[k + 1] += count[k];
     for (let i = 0; i < n; i++) order[count[keys[i]]++] = i;
-    gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);
+    gl.bufferData(gl.ARRAY_BUFFER, order.subarray(0, n), gl.DYNAMIC_DRAW);
   }
 
-  /** Draws a view; the canvas gets the size of its camera. @param {View} view */
-  draw(view) {
+  /** Draws a view with some splats at most, those that contribute most; the canvas gets the size of its camera. @param {View} view @param {number} [most] */
+  draw(view, most = Infinity) {
     const { gl, canvas } = this, { camera, rotation, translation } = view, { width: w, height: h, fx, fy, cx, cy } = camera;
     if (canvas.width !== w || canvas.height !== h) {
       canvas.width = w;
       canvas.height = h;
     }
-    this.shade(centreOf(view));
-    this.sort(rotation, translation);
+    const n = Math.min(this.arrived, most);
+    this.rendered = n;
+    this.shade(centreOf(view), n);
+    this.sort(rotation, translation, n);
     gl.useProgram(this.program);
     if (this.floats) this.target(w, h);
     gl.viewport(0, 0, w, h);
@@ -303,7 +387,7 @@ export class SplatView {
     gl.uniform1f(this.at("near"), NEAR);
     gl.uniform1i(this.at("compensated"), this.compensated ?? 0);
     gl.uniform4f(this.at("limits"), (-0.15 * w - cx) / fx, (1.15 * w - cx) / fx, (-0.15 * h - cy) / fy, (1.15 * h - cy) / fy);
-    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.n);
+    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, n);
     if (!this.floats) return;
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.useProgram(this.copy);

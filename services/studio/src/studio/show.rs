@@ -7,7 +7,7 @@ use crate::messages::{
     ANSWER_LABEL, FrameRequest, HIDDEN_LABEL, HoverRequest, LabelMap, PickRequest, PickedPixel,
 };
 use segwild_flow::lock;
-use segwild_pipeline::{BlendedAppearance, ShownParts, ShownScene};
+use segwild_pipeline::{BlendedAppearance, PackedSplats, ShownParts, ShownScene};
 use segwild_scene::{Camera, Image, Mask, NEAR, PointPrompt, Prompts, View};
 use segwild_segmenter::scene_tree::NONE;
 use std::sync::Arc;
@@ -209,7 +209,7 @@ impl Studio {
     ///
     /// # Errors
     /// When there is no such photo, or it has no appearance.
-    pub fn packed(&self, appearance: Option<usize>) -> Result<Vec<u8>, StudioError> {
+    pub fn packed(&self, appearance: Option<usize>) -> Result<PackedSplats, StudioError> {
         let appearance = match appearance {
             Some(photo) => BlendedAppearance { photo: self.lit_by(Some(photo))?, ..Default::default() },
             None => self.state().document.objects().appearance.clone(),

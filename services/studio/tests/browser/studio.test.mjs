@@ -5,6 +5,7 @@ import { cpSync, mkdtempSync, readFileSync, renameSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
+import { FRAME, LEAST_SPLATS, MOST_SPLATS, SplatBudget } from "../../src/page/budget.js";
 import { answered, browser, middle, open, run, serve, state, until } from "./driver.mjs";
 
 /** @typedef {any} Page */
@@ -208,6 +209,69 @@ test("both drawers show the same scene", async t => {
   });
   // JPEG alone costs some; another order of splats or another low-pass filter gives less than 30.
   assert.ok(psnr > 34, `${psnr} dB`);
+});
+
+test("a moving camera gets as many splats as are rendered in time", () => {
+  // A machine that renders so many splats in a frame of 30 a second.
+  for (const able of [1000, 200_000, 3_000_000, 1e9]) {
+    const budget = new SplatBudget(), times = [];
+    for (let k = 0; k < 20; k++) {
+      times.push(FRAME * budget.splats / able);
+      budget.measured(times[k], budget.splats);
+      assert.ok(budget.splats >= LEAST_SPLATS && budget.splats <= MOST_SPLATS, `${budget.splats}`);
+    }
+    assert.ok(times[19] < FRAME || budget.splats === LEAST_SPLATS, `${able}: ${times}`);
+    assert.equal(times[19], times[18], "it has settled");
+    // More splats would not fit, where there are more.
+    assert.ok(times[19] * 2 >= FRAME * 0.9 || budget.splats === MOST_SPLATS, `${able}: ${times}`);
+  }
+  // A small scene is whole, however fast it is rendered.
+  const budget = new SplatBudget();
+  for (let k = 0; k < 9; k++) budget.measured(2 * FRAME, 4 * LEAST_SPLATS);
+  budget.measured(1, 1000);
+  assert.equal(budget.splats, LEAST_SPLATS);
+});
+
+test("splats are rendered as they arrive, those that contribute most first", async t => {
+  const page = await opened(t);
+  const found = await page.evaluate(async () => {
+    const app = /** @type {any} */ (window).segwild, { camera, rotation, translation } = app.description.photos[app.photo];
+    const { SplatView } = await import("/page/splats.js"), { scaled } = await import("/page/geometry.js");
+    const view = { camera: scaled(camera, 160 / Math.max(camera.width, camera.height)), rotation, translation };
+    const { width, height } = view.camera, bytes = new Uint8Array(await app.run.bytes("splats"));
+    const pixels = (/** @type {any} */ view3, most = Infinity) => {
+      view3.draw(view, most);
+      view3.finish();
+      const context = new OffscreenCanvas(width, height).getContext("2d");
+      context?.drawImage(view3.canvas, 0, 0);
+      return context?.getImageData(0, 0, width, height).data ?? new Uint8ClampedArray();
+    };
+    const whole = new SplatView(document.createElement("canvas")), parts = new SplatView(document.createElement("canvas"));
+    whole.load(bytes.buffer);
+    const wanted = pixels(whole), far = (/** @type {Uint8ClampedArray} */ found) => {
+      let sum = 0;
+      for (let i = 0; i < found.length; i++) sum += (found[i] - wanted[i]) ** 2;
+      return sum / found.length;
+    };
+    // Parts that end anywhere, as those of a network.
+    const stream = new ReadableStream({
+      start: to => {
+        for (let at = 0; at < bytes.length; at += 1001) to.enqueue(bytes.slice(at, at + 1001));
+        to.close();
+      },
+    });
+    await parts.receive(stream, () => {});
+    const n = parts.n, shares = [1, 0.5, 0.1].map(share => far(pixels(parts, Math.ceil(share * n))));
+    const early = new Blob([bytes.slice(0, -4)]).stream();
+    const cut = await parts.receive(early, () => {}).then(() => "", (/** @type {any} */ error) => String(error));
+    return { n, arrived: whole.arrived, shares, empty: far(new Uint8ClampedArray(wanted.length)), cut };
+  });
+  const [all, half, tenth] = found.shares, figures = JSON.stringify(found);
+  t.diagnostic(figures);
+  assert.ok(found.n > 0 && found.arrived === found.n && all === 0, figures);
+  // Half of the splats have far more than half of the light.
+  assert.ok(half < 0.25 * found.empty && half <= tenth && tenth < found.empty, figures);
+  assert.match(found.cut, /incomplete/);
 });
 
 /** Waits until the browser has rendered the present state. @param {Page} page */

@@ -3,6 +3,7 @@
 use crate::common::{keep, open, run};
 use segwild_flow::Stopper;
 use segwild_pipeline::{RunFolder, Selected};
+use segwild_segmenter::scene_tree::NONE;
 use segwild_studio::messages::StudioAction;
 use segwild_studio::{Studio, StudioError};
 
@@ -11,8 +12,10 @@ const OTHER_PHOTO: usize = 3;
 
 /// Numbers before the first list.
 const HEAD: usize = 3;
-/// Numbers of a packed splat before its colours.
-const BEFORE_COLOURS: usize = 10;
+/// Numbers of the head of packed splats.
+const PACKED_HEAD: usize = 4;
+/// Numbers of a packed splat before its colours, its index included.
+const BEFORE_COLOURS: usize = 11;
 
 /// Little-endian numbers.
 fn counts(bytes: &[u8]) -> Vec<u32> {
@@ -21,6 +24,27 @@ fn counts(bytes: &[u8]) -> Vec<u32> {
 
 fn numbers(bytes: &[u8]) -> Vec<f32> {
     bytes.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
+}
+
+/// The colours of all splats by their indices, and the indices in the order in which they are packed.
+fn colours_and_order(studio: &Studio, photo: Option<usize>) -> (Vec<f32>, Vec<u32>) {
+    let bytes: Vec<u8> = studio.packed(photo).unwrap().flatten().collect();
+    let (indices, values) = (counts(&bytes), numbers(&bytes));
+    let [n, degree, _, chunk] = [0, 1, 2, 3].map(|k| indices[k] as usize);
+    let stride = 3 * (degree + 1).pow(2);
+    let (mut colours, mut order) = (vec![f32::NAN; stride * n], Vec::new());
+    let mut at = PACKED_HEAD;
+    while order.len() < n {
+        let count = chunk.min(n - order.len());
+        for k in 0..count {
+            let own = &values[at + BEFORE_COLOURS * count + stride * k..][..stride];
+            colours[stride * indices[at + k] as usize..][..stride].copy_from_slice(own);
+        }
+        order.extend(&indices[at..][..count]);
+        at += (BEFORE_COLOURS + stride) * count;
+    }
+    assert_eq!(at, values.len());
+    (colours, order)
 }
 
 /// Packed changes, taken apart.
@@ -118,14 +142,23 @@ fn colours_are_those_that_the_scene_would_have_in_that_appearance() {
     let labels = record(&studio, &folder, 0).labels;
     let inside: Vec<u32> = (0..labels.len() as u32).filter(|&i| labels[i as usize]).collect();
     assert!(changed.shapes.is_empty() && changed.lit == inside);
-    let whole = numbers(&studio.packed(Some(OTHER_PHOTO)).unwrap());
-    let colours = &whole[HEAD + BEFORE_COLOURS * labels.len()..];
-    let (stride, own) = (colours.len() / labels.len(), numbers(&studio.packed(None).unwrap()));
+    let (colours, order) = colours_and_order(&studio, Some(OTHER_PHOTO));
+    let (stride, (own, _)) = (colours.len() / labels.len(), colours_and_order(&studio, None));
+    // Each splat once, those that the views see most of first.
+    let tree = studio.session().tree().unwrap();
+    let light = |splat: &u32| match tree.leaf[*splat as usize] {
+        NONE => 0.0,
+        leaf => tree.trees[0].groups[leaf as usize].area,
+    };
+    assert!(order.is_sorted_by(|a, b| light(a) >= light(b)) && light(&order[0]) > 0.0);
+    let mut indices = order.clone();
+    indices.sort_unstable();
+    assert!(indices.into_iter().eq(0..labels.len() as u32));
     let wanted: Vec<f32> =
         inside.iter().flat_map(|&i| &colours[stride * i as usize..][..stride]).copied().collect();
     let far = wanted.iter().zip(&changed.colours).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     assert!(wanted.len() == changed.colours.len() && far < 1e-4, "{far}");
-    assert!(own[HEAD + BEFORE_COLOURS * labels.len()..] != *colours, "the photo has another appearance");
+    assert!(own != colours, "the photo has another appearance");
     studio.act(appearance(Some(1), None)).unwrap();
     assert_eq!(unpacked(&studio).version, "");
     // Nobody waits for it any more.
