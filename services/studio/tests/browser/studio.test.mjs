@@ -7,6 +7,7 @@ import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { FRAME, LEAST_SPLATS, MOST_SPLATS, SplatBudget } from "../../src/page/budget.js";
 import { answered, browser, middle, open, run, serve, state, until } from "./driver.mjs";
+import { compare } from "./golden.mjs";
 
 /** @typedef {any} Page */
 
@@ -379,6 +380,35 @@ test("the browser renders cut spikes and objects' own appearances as the server 
   assert.ok([cut, lit, undone].every(([psnr, plain]) => psnr > plain + 3) && spikes[0] === spikes[1], figures);
   assert.ok(screen.every(psnr => psnr > 36), figures);
   assert.equal(await page.evaluate(() => /** @type {any} */ (window).segwild.scenePane.view3.undoings.length), 0);
+});
+
+test("photo, scene and page appear as in the stored screenshots", async t => {
+  const page = await opened(t, { colorScheme: "light", viewport: { width: 960, height: 600 } });
+  await click(page);
+  await page.keyboard.press("Enter");
+  await until(page, () => /** @type {any} */ (window).segwild.item !== null);
+  await page.mouse.move(0, 0);
+  const labelled = () => until(page, () => {
+    const { photoPane: pane, photo, state } = /** @type {any} */ (window).segwild;
+    return pane.labelled === `${photo}/${state.revision}/false`;
+  });
+  await labelled();
+  await until(page, () => [...document.querySelectorAll("#photos img")].slice(0, 4).every(image => /** @type {HTMLImageElement} */ (image).naturalWidth));
+  await until(page, () => !/** @type {any} */ (window).segwild.scenePane.busy && /** @type {any} */ (window).segwild.first.scene);
+  await compare(page, "page", "body");
+  await page.keyboard.press("p");
+  await labelled();
+  await compare(page, "photo", "#stage");
+  await page.keyboard.press("t");
+  await page.locator("#frusta").click();
+  await page.mouse.move(0, 0);
+  await until(page, () => !/** @type {any} */ (window).segwild.scenePane.busy);
+  await compare(page, "scene-by-server", "#space");
+  await page.locator("#rendered-by").click();
+  await page.mouse.move(0, 0);
+  await rendered(page);
+  await compare(page, "scene-by-browser", "#space");
+  await clear(page);
 });
 
 test("a run that has no scene yet shows its photos and its curves, and then the scene", async t => {
