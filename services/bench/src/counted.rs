@@ -74,6 +74,9 @@ impl PromptSegmenter for CountedProviders {
     fn prepare(&self, image: &Image) {
         self.0.segmenter.prepare(image);
     }
+    fn is_prepared(&self, image: &Image) -> bool {
+        self.0.segmenter.is_prepared(image)
+    }
 }
 
 impl SkyDetector for CountedProviders {

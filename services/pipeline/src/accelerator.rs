@@ -90,4 +90,7 @@ impl PromptSegmenter for Leased<dyn PromptSegmenter> {
         let _held = accelerator().acquire("a photo that is likely to be clicked");
         self.0.prepare(image);
     }
+    fn is_prepared(&self, image: &Image) -> bool {
+        self.0.is_prepared(image)
+    }
 }

@@ -138,6 +138,11 @@ pub trait PromptSegmenter: Send + Sync {
     /// Computes in advance what every answer about this photo needs, if memory can hold it until then. No answer depends on it;
     /// an error here is dropped and returns with the answer itself.
     fn prepare(&self, _image: &Image) {}
+    /// Whether what [`PromptSegmenter::prepare`] computes of a photo is in memory, so that an answer to a click costs little. A model
+    /// that does not know has nothing.
+    fn is_prepared(&self, _image: &Image) -> bool {
+        false
+    }
 }
 
 /// Refuses a certainty whose size is not its image's, for [`PromptSegmenter::refine`].

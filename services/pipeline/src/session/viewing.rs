@@ -119,6 +119,31 @@ impl Session {
         Ok(self.providers.segmenter.segment(&photo.image, prompts)?.mask)
     }
 
+    /// Whether the provider finds whole objects by itself, so that its mask of a photo comes before the groups of the scene tree.
+    pub fn finds_objects(&self) -> bool {
+        self.providers.segmenter.finds_objects()
+    }
+
+    /// [`Session::candidate_mask`] where the provider has what it needs of the photo in memory; `None` where it has not.
+    ///
+    /// # Errors
+    /// When the photo cannot be read, or the provider fails.
+    pub fn prepared_mask(&self, view: usize, prompts: &Prompts) -> Result<Option<Mask>, RunError> {
+        let photo = self.photos.read(view)?;
+        let segmenter = &self.providers.segmenter;
+        if !segmenter.is_prepared(&photo.image) {
+            return Ok(None);
+        }
+        Ok(Some(segmenter.segment(&photo.image, prompts)?.mask))
+    }
+
+    /// Lets the provider compute what every mask of a photo needs, if it has the memory. A click reports what fails here.
+    pub fn prepare(&self, view: usize) {
+        if let Ok(photo) = self.photos.read(view) {
+            self.providers.segmenter.prepare(&photo.image);
+        }
+    }
+
     /// Prompts on a photo as it is shown (undistorted, at full size), as prompts on the photo as taken. `None` where a position
     /// lies outside of what the lens can have seen.
     pub fn prompts_as_taken(&self, view: usize, prompts: &Prompts) -> Option<PhotoPrompts> {

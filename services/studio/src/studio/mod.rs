@@ -4,9 +4,11 @@ mod act;
 mod answer;
 mod changes;
 mod export;
+mod hover;
 mod show;
 mod state;
 mod transients;
+mod turns;
 
 pub(crate) use show::{JPEG_QUALITY, three_planes};
 pub use state::{ANSWER_COLOUR, COLOURS, Studio, StudioError};
@@ -94,6 +96,7 @@ impl Studio {
             fronts: FrontMaps::default(),
             graph: OnceLock::new(),
             shown: Mutex::new(Vec::new()),
+            turns: Mutex::default(),
         });
         studio.recover(opened.earlier);
         studio.ask_again();

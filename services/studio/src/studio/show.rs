@@ -1,15 +1,12 @@
-//! What viewers see: candidates, masks, photos, renders.
+//! What viewers see: masks, photos, renders.
 
 use super::state::{ANSWER_COLOUR, COLOURS, CachedScene, Studio, StudioError, mark};
 use crate::document::{KeptObject, ObjectId};
 use crate::fronts::FrontMap;
-use crate::messages::{
-    ANSWER_LABEL, FrameRequest, HIDDEN_LABEL, HoverRequest, LabelMap, PickRequest, PickedPixel,
-};
+use crate::messages::{ANSWER_LABEL, FrameRequest, HIDDEN_LABEL, LabelMap, PickRequest, PickedPixel};
 use segwild_flow::lock;
 use segwild_pipeline::{BlendedAppearance, PackedSplats, ShownParts, ShownScene};
-use segwild_scene::{Camera, Image, Mask, NEAR, PointPrompt, Prompts, View};
-use segwild_segmenter::scene_tree::NONE;
+use segwild_scene::{Camera, Image, Mask, NEAR, View};
 use std::sync::Arc;
 
 /// Quality of JPEGs that are sent to the page.
@@ -22,45 +19,6 @@ const TRIED_PHOTOS: usize = 8;
 const SAME_DEPTH: f32 = 0.03;
 
 impl Studio {
-    /// The candidate at a position of a photo, without a click; `None` where there is none.
-    ///
-    /// # Errors
-    /// When the photo cannot be read or rendered.
-    pub fn hover(&self, request: &HoverRequest) -> Result<Option<LabelMap>, StudioError> {
-        let HoverRequest { photo, x, y, granularity } = *request;
-        self.check_photo(photo)?;
-        let camera = &self.session.scene().views[photo].camera;
-        let share = [x / camera.width as f32, y / camera.height as f32];
-        if !share.iter().all(|v| (0.0..1.0).contains(v))
-            || granularity.is_some_and(|g| !(0.0..=1.0).contains(&g))
-        {
-            return Ok(None);
-        }
-        let Some(tree) = self.session.tree() else {
-            let small = self.session.working_camera(photo);
-            let point = PointPrompt {
-                x: share[0] * small.width as f32,
-                y: share[1] * small.height as f32,
-                inside: true,
-            };
-            let prompts = Prompts { points: vec![point], boxes: Vec::new(), granularity };
-            return Ok(Some(label_map(&self.session.candidate_mask(photo, &prompts)?, 0)));
-        };
-        let front = self.fronts.of(&self.session, photo)?;
-        let leaf =
-            front.at(share[0], share[1]).map(|splat| tree.leaf[splat as usize]).filter(|leaf| *leaf != NONE);
-        let Some(leaf) = leaf else { return Ok(None) };
-        let boundaries = self.settings.tree_boundaries;
-        let found = match granularity {
-            Some(granularity) => tree.candidates_of_size(leaf, granularity, boundaries),
-            None => tree.candidates(leaf, boundaries),
-        };
-        let Some(first) = found.first() else { return Ok(None) };
-        let labels = tree.labels(first);
-        let runs = front.runs(|splat| if labels[splat as usize] { ANSWER_LABEL } else { 0 });
-        Ok(Some(LabelMap { width: front.width, height: front.height, runs, revision: 0 }))
-    }
-
     /// The labels of a photo's pixels: visible objects, and the answer over them.
     ///
     /// # Errors

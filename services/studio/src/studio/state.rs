@@ -1,5 +1,6 @@
 //! What a run's session holds for all viewers.
 
+use super::turns::ProviderTurns;
 use crate::document::{Document, DocumentError, Journal, JournalError};
 use crate::fronts::FrontMaps;
 use crate::messages::AnswerMessage;
@@ -75,6 +76,8 @@ pub struct Studio {
     pub(super) fronts: FrontMaps,
     pub(super) graph: OnceLock<NeighbourGraph>,
     pub(super) shown: Mutex<Vec<CachedScene>>,
+    /// The provider's turns to find what is under a pointer.
+    pub(super) turns: Mutex<ProviderTurns>,
 }
 
 /// An answer that grows.

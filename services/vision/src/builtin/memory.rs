@@ -29,6 +29,11 @@ impl<T: Weighed> Memory<T> {
         slot
     }
 
+    /// Whether the value of a key is there.
+    pub fn has(&self, key: blake3::Hash) -> bool {
+        lock(&self.recent).iter().any(|(known, slot)| *known == key && slot.get().is_some())
+    }
+
     /// Forgets the oldest values until the others fit.
     pub fn trim(&self) {
         let mut recent = lock(&self.recent);
@@ -80,6 +85,7 @@ mod tests {
         };
         (0..4).for_each(|n| drop(put(n, 30)));
         assert_eq!(memory.count(), 3);
+        assert!(memory.has(blake3::hash(&[3])) && !memory.has(blake3::hash(&[0])));
         assert!(memory.slot(blake3::hash(&[1])).get().is_some(), "used again: the newest");
         drop(put(9, 30));
         assert!(memory.slot(blake3::hash(&[1])).get().is_some());

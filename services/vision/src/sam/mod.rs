@@ -313,4 +313,8 @@ impl PromptSegmenter for Sam {
             drop(self.encoded(image));
         }
     }
+
+    fn is_prepared(&self, image: &Image) -> bool {
+        self.embeddings.has(content(image))
+    }
 }

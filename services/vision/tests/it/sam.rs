@@ -233,7 +233,9 @@ fn a_photo_that_was_prepared_is_not_encoded_again() {
     let folder = tempfile::tempdir().unwrap();
     let all = pair(folder.path(), Takes::Planes, SAM);
     let image = photo();
+    assert!(!all.segmenter.is_prepared(&image));
     all.segmenter.prepare(&image);
+    assert!(all.segmenter.is_prepared(&image));
     assert_eq!(all.proposer.work().unwrap().encoded, 1);
     let prompts = Prompts { points: vec![click(40.0, 40.0, true)], ..Prompts::default() };
     let answer = all.segmenter.segment(&image, &prompts).unwrap();

@@ -1,0 +1,91 @@
+//! What a click would select, without the click.
+
+use super::show::label_map;
+use super::state::{Studio, StudioError};
+use super::turns::IN_TIME;
+use crate::messages::{ANSWER_LABEL, HoverRequest, LabelMap};
+use segwild_flow::lock;
+use segwild_scene::{Mask, PointPrompt, Prompts};
+use segwild_segmenter::scene_tree::NONE;
+use std::sync::{Arc, mpsc};
+use std::time::{Duration, Instant};
+
+/// A turn of the provider, ended when it is dropped.
+struct ProviderTurn {
+    studio: Arc<Studio>,
+    /// How long its candidate took, if there was one.
+    took: Option<Duration>,
+}
+
+impl Drop for ProviderTurn {
+    fn drop(&mut self) {
+        lock(&self.studio.turns).end(self.took, Instant::now());
+    }
+}
+
+impl Studio {
+    /// The candidate at a position of a photo, without a click; `None` where there is none. It is the mask of a provider that finds
+    /// objects, as that of a click would be, where the provider has it in time; otherwise the group of the scene tree.
+    ///
+    /// # Errors
+    /// When the photo cannot be read or rendered.
+    pub fn hover(self: &Arc<Self>, request: &HoverRequest) -> Result<Option<LabelMap>, StudioError> {
+        let HoverRequest { photo, x, y, granularity } = *request;
+        self.check_photo(photo)?;
+        let camera = &self.session.scene().views[photo].camera;
+        let share = [x / camera.width as f32, y / camera.height as f32];
+        if !share.iter().all(|v| (0.0..1.0).contains(v))
+            || granularity.is_some_and(|g| !(0.0..=1.0).contains(&g))
+        {
+            return Ok(None);
+        }
+        let small = self.session.working_camera(photo);
+        let (x, y) = (share[0] * small.width as f32, share[1] * small.height as f32);
+        let point = PointPrompt { x, y, inside: true };
+        let prompts = Prompts { points: vec![point], boxes: Vec::new(), granularity };
+        let Some(tree) = self.session.tree() else {
+            return Ok(Some(label_map(&self.session.candidate_mask(photo, &prompts)?, 0)));
+        };
+        if let Some(mask) = self.mask_in_time(photo, prompts) {
+            return Ok(Some(label_map(&mask, 0)));
+        }
+        let front = self.fronts.of(&self.session, photo)?;
+        let leaf =
+            front.at(share[0], share[1]).map(|splat| tree.leaf[splat as usize]).filter(|leaf| *leaf != NONE);
+        let Some(leaf) = leaf else { return Ok(None) };
+        let boundaries = self.settings.tree_boundaries;
+        let found = match granularity {
+            Some(granularity) => tree.candidates_of_size(leaf, granularity, boundaries),
+            None => tree.candidates(leaf, boundaries),
+        };
+        let Some(first) = found.first() else { return Ok(None) };
+        let labels = tree.labels(first);
+        let runs = front.runs(|splat| if labels[splat as usize] { ANSWER_LABEL } else { 0 });
+        Ok(Some(LabelMap { width: front.width, height: front.height, runs, revision: 0 }))
+    }
+
+    /// The mask of a provider that finds objects, if it is there in time. A photo that the provider has not encoded yet is encoded for
+    /// the next ones.
+    fn mask_in_time(self: &Arc<Self>, photo: usize, prompts: Prompts) -> Option<Mask> {
+        let began = Instant::now();
+        if !self.session.finds_objects() || !lock(&self.turns).take(began) {
+            return None;
+        }
+        let mut turn = ProviderTurn { studio: self.clone(), took: None };
+        let (send, answer) = mpsc::sync_channel(1);
+        let work = move || {
+            let found = turn.studio.session.prepared_mask(photo, &prompts);
+            let encoded = !matches!(found, Ok(None));
+            // One that fails is as good as late: a click reports why.
+            turn.took = encoded.then(|| if found.is_ok() { began.elapsed() } else { Duration::MAX });
+            // Who waited may have gone on without it.
+            let _ = send.send(found.ok().flatten());
+            if !encoded {
+                turn.studio.session.prepare(photo);
+            }
+        };
+        // Without a thread the turn ends here.
+        std::thread::Builder::new().name("studio hover".into()).spawn(work).ok()?;
+        answer.recv_timeout(IN_TIME).ok().flatten()
+    }
+}
