@@ -20,6 +20,8 @@ const REST = 120;
 const SIDES = [480, 1280];
 /** Longest side of what stands behind the browser's splats: it is smooth, so a small image will do. */
 const BACKGROUND = 96;
+/** Times the splats of the last frame that arrive before another one is rendered. */
+const GROWN = 1.5;
 /** Frames in which the number of splats of a moving camera is found. */
 const MEASURED = 8;
 /** Cameras that are shown. */
@@ -348,7 +350,7 @@ export class ScenePane {
         if (view3.arrived < Math.min(view3.n || Infinity, LEAST_SPLATS)) return;
         shown = true;
         done();
-        this.redraw();
+        if (view3.arrived === view3.n || view3.arrived > GROWN * view3.rendered) this.redraw();
       };
       const arrive = async () => {
         const stream = await app.run.stream("splats", loading.signal);
