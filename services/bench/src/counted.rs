@@ -102,6 +102,7 @@ pub fn counted(providers: &Providers) -> (Providers, Calls) {
         segmenter: counted.clone(),
         sky: counted,
         transients: None,
+        texts: None,
         name: providers.name.clone(),
         notes: providers.notes.clone(),
         networks: providers.networks.clone(),

@@ -16,14 +16,25 @@ pub fn accelerator() -> &'static Lease {
 /// The same providers; those that declare an accelerator hold the lease while they compute. Clicks and skies come
 /// before the others.
 pub(crate) fn leased(providers: &Providers) -> Providers {
-    let Providers { embedder, proposer, segmenter, sky, transients, name, notes, networks, remote_calls } =
-        providers.clone();
+    let Providers {
+        embedder,
+        proposer,
+        segmenter,
+        sky,
+        transients,
+        texts,
+        name,
+        notes,
+        networks,
+        remote_calls,
+    } = providers.clone();
     Providers {
         embedder: if embedder.accelerator() { Arc::new(Leased(embedder)) } else { embedder },
         proposer: if proposer.accelerator() { Arc::new(Leased(proposer)) } else { proposer },
         segmenter: if segmenter.accelerator() { Arc::new(Leased(segmenter)) } else { segmenter },
         sky: if sky.accelerator() { Arc::new(Leased(sky)) } else { sky },
         transients,
+        texts,
         name,
         notes,
         networks,

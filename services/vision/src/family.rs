@@ -19,6 +19,8 @@ pub enum Family {
     Sky,
     /// DeepLab over the classes of Cityscapes.
     Deeplab,
+    /// CLIP (Radford et al. 2021) and models of the same interface.
+    Clip,
 }
 
 impl Family {
@@ -33,6 +35,7 @@ impl Family {
             Family::Edges => "edge network",
             Family::Sky => "sky network",
             Family::Deeplab => "DeepLab over Cityscapes",
+            Family::Clip => "CLIP",
         }
     }
 
@@ -46,6 +49,7 @@ impl Family {
             Family::Edges => "research use (trained on BSDS500)",
             Family::Sky => "not stated: ask where the file came from",
             Family::Deeplab => "trained on Cityscapes, whose terms are non-commercial",
+            Family::Clip => "that of the weights, as the page says where they came from",
         }
     }
 }

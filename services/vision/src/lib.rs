@@ -22,6 +22,10 @@
 //! Start reading at `provider.rs` (the traits), then `builtin/mod.rs`.
 
 mod builtin;
+mod clip;
+mod clip_file_error;
+mod clip_files;
+mod clip_interface;
 mod contours;
 mod family;
 mod geometry;
@@ -47,6 +51,7 @@ mod survey;
 pub use builtin::{
     Builtin, EdgeDetector, PromptInterpretation, PromptQuery, PromptStep, RegionCache, Regions, TraitWeights,
 };
+pub use clip_file_error::{ClipFileError, TokenizerError};
 pub use contours::ContourTree;
 pub use family::Family;
 pub use model_file::{ModelFileError, OnnxError, WireError};
@@ -54,7 +59,8 @@ pub use network_file::NetworkFile;
 pub use networks::{EdgeNetwork, SkyNetwork, TransientNetwork};
 pub use onnx::Runtime;
 pub use provider::{
-    Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, TransientDetector, VisionError, Work,
+    Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, TextEmbedder, TransientDetector,
+    VisionError, Work,
 };
 pub use providers::{BUILT_IN, Providers};
 pub use registry::{ModelFile, models_in};

@@ -119,6 +119,29 @@ pub(crate) fn part_name(file: &str) -> Option<PartName> {
     is_known(stem).then(|| PartName { stem: stem.to_owned(), part, precision, style })
 }
 
+/// Ends of the names of CLIP's files, the longer ones first.
+const CLIP_ENDINGS: [&str; 11] = [
+    "vision_model",
+    "text_model",
+    "vision_encoder",
+    "image_encoder",
+    "text_encoder",
+    "textual",
+    "visual",
+    "vision",
+    "image",
+    "text",
+    "model",
+];
+
+/// The stem and the precision of a file of CLIP, whose inputs and outputs tell its part: two parts with one stem are a pair. The stem
+/// is empty under the names of Hugging Face's exports.
+pub(crate) fn clip_name(file: &str) -> (String, NamedPrecision) {
+    let (name, precision) = without_precision(file.strip_suffix(".onnx").unwrap_or(file));
+    let stem = CLIP_ENDINGS.iter().find_map(|ending| name.strip_suffix(ending)).unwrap_or(name);
+    (stem.strip_suffix(JOINTS).unwrap_or(stem).to_owned(), precision)
+}
+
 /// The usual name of the other part, for a message.
 pub(crate) fn usual_name(stem: &str, part: SamPart) -> String {
     match (stem, part) {
@@ -130,6 +153,23 @@ pub(crate) fn usual_name(stem: &str, part: SamPart) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn parts_of_clip_have_one_stem() {
+        use NamedPrecision::{Full, Half, Quantised};
+        for (file, stem, precision) in [
+            ("vision_model.onnx", "", Full),
+            ("text_model_quantized.onnx", "", Quantised),
+            ("model_fp16.onnx", "", Half),
+            ("clip-vit-b32-visual.onnx", "clip-vit-b32", Full),
+            ("clip-vit-b32-textual.onnx", "clip-vit-b32", Full),
+            ("clip_image_encoder.onnx", "clip", Full),
+            ("clip_text_encoder_int8.onnx", "clip", Quantised),
+            ("clip.onnx", "clip", Full),
+        ] {
+            assert_eq!(clip_name(file), (stem.to_owned(), precision), "{file}");
+        }
+    }
 
     #[test]
     fn names_of_the_exports_that_there_are_tell_part_stem_and_precision() {

@@ -1,5 +1,6 @@
 //! The traits of 2D models. Images are sRGB in [0, 1], three planes; masks have the image's size.
 
+use crate::clip_file_error::{ClipFileError, TokenizerError};
 use crate::model_file::ModelFileError;
 use crate::sam_file_error::SamFileError;
 use crate::service_error::ServiceError;
@@ -27,6 +28,30 @@ pub enum VisionError {
         file: PathBuf,
         /// What is wrong with it.
         reason: Box<SamFileError>,
+    },
+    /// A network file is none of CLIP's encoders.
+    #[error("{}: {reason}", file.display())]
+    Clip {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        reason: Box<ClipFileError>,
+    },
+    /// A file beside CLIP's encoders cannot be used.
+    #[error("{}: {reason}", file.display())]
+    Tokenizer {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        reason: Box<TokenizerError>,
+    },
+    /// Nothing embeds texts.
+    #[error(
+        "no model of texts is here{found}. Put the two encoders of a CLIP model as ONNX files and their tokenizer          (`vision_model.onnx`, `text_model.onnx`, `tokenizer.json`) into the folder of `--models`: Hugging Face has exports, such as          Xenova/clip-vit-base-patch32, and `optimum-cli export onnx` makes them of other CLIP models. Check the licence of the          weights. `segwild doctor --models FOLDER` lists what a folder has"
+    )]
+    NoTexts {
+        /// What is there and not used, in brackets after a space; empty where nothing is.
+        found: String,
     },
     /// A vision service does not serve.
     #[error(transparent)]
@@ -71,6 +96,20 @@ pub trait Embedder: Send + Sync {
     }
     /// Descriptors of an image.
     fn embed(&self, image: &Image) -> Result<Embedding, VisionError>;
+}
+
+/// Embeds images and texts in one space, where the cosine of two embeddings grows with how well the text describes the image
+/// (CLIP, Radford et al. 2021).
+pub trait TextEmbedder: Send + Sync {
+    /// Names the model and its parameters.
+    ///
+    /// # Errors
+    /// When its files cannot be loaded: they are at the first call.
+    fn key(&self) -> Result<String, VisionError>;
+    /// Embeddings of images, unit vectors of one length. Squares are expected: other images are stretched to one.
+    fn embed_images(&self, images: &[Image]) -> Result<Vec<Vec<f32>>, VisionError>;
+    /// Embeddings of texts, unit vectors of the same length.
+    fn embed_texts(&self, texts: &[String]) -> Result<Vec<Vec<f32>>, VisionError>;
 }
 
 /// Masks at given points, for SASM (docs/method.md, section 5).

@@ -1,5 +1,6 @@
 //! The providers that settings name.
 
+use crate::clip::find_clip;
 use crate::family::{DEEPLAB, EDGES, SKY};
 use crate::geometry::{ColourSky, GeometrySky, JointSky};
 use crate::network_file::NetworkFile;
@@ -10,7 +11,7 @@ use crate::service_error::{ServiceError, TokenFileError};
 use crate::settings::{EdgeChoice, ModelChoice, SkyChoice, VisionSettings};
 use crate::{
     Builtin, EdgeDetector, EdgeNetwork, Embedder, MaskProposer, PromptSegmenter, RegionCache, Sam,
-    SkyDetector, SkyNetwork, TransientDetector, TransientNetwork, VisionError,
+    SkyDetector, SkyNetwork, TextEmbedder, TransientDetector, TransientNetwork, VisionError,
 };
 use segwild_proto::Token;
 use segwild_scene::{Image, Mask};
@@ -39,6 +40,8 @@ pub struct Providers {
     pub sky: Arc<dyn SkyDetector>,
     /// Persons and vehicles, if a network for them was named.
     pub transients: Option<Arc<dyn TransientDetector>>,
+    /// Embeds texts and images, if a model for it was found.
+    pub texts: Option<Arc<dyn TextEmbedder>>,
     /// Name of the provider of masks and clicks, as records, tables and reports have it: [`BUILT_IN`], `sam:` and the stem of
     /// its files, or `remote:` and the name that a vision service has for its model. Other implementations of the traits give a name of their own.
     pub name: String,
@@ -129,10 +132,36 @@ impl Providers {
         let sky = sky(settings, service.as_ref(), &builtin, &mut notes, &mut networks)?;
         let (proposer, segmenter) = masks.of_masks(&builtin);
         let transients = transients(settings, service.as_ref(), &mut notes, &mut networks)?;
+        // It takes no part in a run, so that no run records its files.
+        let texts = find_clip(settings, &mut notes)?.map(|clip| Arc::new(clip) as Arc<dyn TextEmbedder>);
         networks.extend(service.iter().map(|service| service.as_network_file()));
         let remote_calls = service.map_or(0, |service| service.calls());
         let (embedder, name) = (describes.embedder(&builtin), masks.name());
-        Ok(Providers { embedder, proposer, segmenter, sky, transients, name, notes, networks, remote_calls })
+        Ok(Providers {
+            embedder,
+            proposer,
+            segmenter,
+            sky,
+            transients,
+            texts,
+            name,
+            notes,
+            networks,
+            remote_calls,
+        })
+    }
+
+    /// What embeds texts.
+    ///
+    /// # Errors
+    /// When nothing does; the error says which files would.
+    pub fn text_embedder(&self) -> Result<&dyn TextEmbedder, VisionError> {
+        let unused = || self.notes.iter().filter_map(|note| note.strip_prefix("text: not used: "));
+        let none = || {
+            let found = unused().collect::<Vec<_>>().join("; ");
+            VisionError::NoTexts { found: if found.is_empty() { found } else { format!(" ({found})") } }
+        };
+        self.texts.as_deref().ok_or_else(none)
     }
 }
 

@@ -22,7 +22,7 @@ pub struct ModelFile {
     pub family: Option<Family>,
     /// What it is for, going by its name.
     pub role: Option<&'static str>,
-    /// Which member of the SAM family its inputs and outputs are those of, if of any.
+    /// Which member of the SAM family its inputs and outputs are those of, or CLIP; `None` where of neither.
     pub interface: Option<&'static str>,
     /// What a run makes of it, if no setting names another pair.
     pub usage: FileUse,

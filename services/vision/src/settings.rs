@@ -69,8 +69,8 @@ segwild_scene::settings! {
     /// How photos are analysed: boundaries, regions, descriptors, sky.
     pub struct VisionSettings("vision", user: models masks vision_service sky transient_network) {
         /// Folder of network files, SAM's among them. Files are `edges_bsds.onnx`, `sky_small_384.onnx`,
-        /// `deeplab_cityscapes_513.onnx`, and pairs of the SAM family such as `mobile_sam_encoder.onnx` and
-        /// `mobile_sam_decoder.onnx`. Empty: SEGWILD_MODELS; without that no network is used and the built-in provider
+        /// `deeplab_cityscapes_513.onnx`, pairs of the SAM family such as `mobile_sam_encoder.onnx` and
+        /// `mobile_sam_decoder.onnx`, and CLIP's `vision_model.onnx` and `text_model.onnx` with `tokenizer.json`. Empty: SEGWILD_MODELS; without that no network is used and the built-in provider
         /// does everything. It is never read from a run folder.
         models: String = String::new(),
         /// Where boundaries come from.

@@ -1,9 +1,12 @@
 //! What a folder of network files holds, and what becomes of each: `segwild doctor` lists it, and a run takes its pair from it.
 
 use crate::VisionError;
+use crate::clip_file_error::ClipFileError;
+use crate::clip_files::{ClipFiles, TOKENIZER, scaling_of, tokenizer_of};
+use crate::clip_interface::ClipInterface;
 use crate::family::{Family, SINGLE, family_of, is_known, search_rank};
-use crate::model_file::{GraphSignature, signature};
-use crate::model_name::{PartName, SamPart, is_bare, part_name, usual_name};
+use crate::model_file::{GraphSignature, TensorSpec, signature};
+use crate::model_name::{NamedPrecision, PartName, SamPart, clip_name, is_bare, part_name, usual_name};
 use crate::sam_file_error::SamFileError;
 use crate::sam_interface::{DecoderInterface, EncoderInterface, refuse_concept, refuse_unnamed};
 use std::collections::BTreeMap;
@@ -53,6 +56,10 @@ pub enum FileUse {
     Refused(SamFileError),
     /// It is a network of one file, which settings ask for.
     Single,
+    /// Queries by text use it.
+    Texts,
+    /// It is a file of CLIP that cannot be used.
+    RefusedClip(ClipFileError),
     /// Its name is none that is known.
     Unnamed {
         /// Which member of the SAM family it is by its inputs and outputs, and which part.
@@ -72,6 +79,8 @@ impl fmt::Display for FileUse {
             FileUse::Unpaired { by } => write!(f, "is not used, because {by} cannot be"),
             FileUse::Refused(reason) => write!(f, "{reason}"),
             FileUse::Single => f.write_str("is used where a setting asks for it"),
+            FileUse::Texts => f.write_str("is used where a text selects"),
+            FileUse::RefusedClip(reason) => write!(f, "{reason}"),
             FileUse::Unnamed { is: None } => f.write_str("has a name that is not known, so it is not used"),
             FileUse::Unnamed { is: Some(is) } => write!(
                 f,
@@ -105,12 +114,41 @@ impl SamInterface {
     }
 }
 
+/// A file of CLIP.
+#[derive(Debug)]
+struct ClipFile {
+    stem: String,
+    precision: NamedPrecision,
+    found: Result<ClipInterface, ClipFileError>,
+}
+
+impl ClipFile {
+    /// Recognises a file by its inputs and outputs.
+    fn of(path: &Path, name: &str) -> Option<ClipFile> {
+        let GraphSignature { inputs, outputs } = signature(path)?;
+        let found = ClipInterface::of(&inputs, &outputs)?;
+        let (stem, precision) = clip_name(name);
+        Some(ClipFile { stem, precision, found })
+    }
+
+    /// Numbers per image and per text, where the file says.
+    fn dims(&self) -> [Option<usize>; 2] {
+        let last = |spec: &TensorSpec| spec.shape.last().copied().flatten();
+        let found = self.found.as_ref().ok();
+        let images = found.and_then(|found| found.images.as_ref());
+        let texts = found.and_then(|found| found.texts.as_ref());
+        [images.and_then(|images| last(&images.output)), texts.and_then(|texts| last(&texts.output))]
+    }
+}
+
 /// A network file of a folder.
 #[derive(Debug)]
 pub(crate) struct SurveyedFile {
     pub path: PathBuf,
     pub name: String,
     part: Option<PartName>,
+    /// What it is of CLIP, by its inputs and outputs: its name does not count.
+    clip: Option<ClipFile>,
     /// `None` where nothing of the family is recognised, and where the file cannot be read.
     found: Option<Result<SamInterface, SamFileError>>,
     pub usage: FileUse,
@@ -123,6 +161,8 @@ pub(crate) struct ModelSurvey {
     pub pairs: Vec<ModelPair>,
     /// Pairs that are refused, in the same order.
     pub refused: Vec<ModelPair>,
+    /// The model of queries by text, if there is one.
+    pub texts: Option<ClipFiles>,
     /// All files, by name.
     pub files: Vec<SurveyedFile>,
 }
@@ -132,21 +172,29 @@ impl SurveyedFile {
         SINGLE.iter().find(|(known, ..)| *known == self.name).map(|(_, family, role)| (*family, *role))
     }
 
-    /// Where it comes from, going by its name.
-    pub fn family(&self) -> Option<Family> {
-        let stem = || self.part.as_ref().and_then(|part| family_of(&part.stem));
-        self.single().map(|(family, _)| family).or_else(stem)
+    /// Whether it is of CLIP.
+    pub fn is_clip(&self) -> bool {
+        self.clip.is_some()
     }
 
-    /// What it is for, going by its name.
+    /// Where it comes from, going by its name; CLIP by its inputs and outputs.
+    pub fn family(&self) -> Option<Family> {
+        let stem = || self.part.as_ref().and_then(|part| family_of(&part.stem));
+        let clip = || self.clip.as_ref().map(|_| Family::Clip);
+        self.single().map(|(family, _)| family).or_else(stem).or_else(clip)
+    }
+
+    /// What it is for, going by its name; a file of CLIP by its inputs and outputs.
     pub fn role(&self) -> Option<&'static str> {
         let part = || self.part.as_ref().map(|part| part.part.name());
-        self.single().map(|(_, role)| role).or_else(part)
+        let clip = || Some(self.clip.as_ref()?.found.as_ref().map_or("encoder", ClipInterface::role));
+        self.single().map(|(_, role)| role).or_else(part).or_else(clip)
     }
 
     /// Which member of the family it is, going by its inputs and outputs.
     pub fn interface(&self) -> Option<&'static str> {
-        self.found.as_ref()?.as_ref().ok().map(SamInterface::name)
+        let clip = self.clip.as_ref().filter(|clip| clip.found.is_ok()).map(|_| Family::Clip.name());
+        clip.or_else(|| self.found.as_ref()?.as_ref().ok().map(SamInterface::name))
     }
 
     fn refusal(&self) -> Option<&SamFileError> {
@@ -165,9 +213,11 @@ pub(crate) fn survey(folder: &Path, stem: &str) -> Result<ModelSurvey, VisionErr
         if !name.ends_with(".onnx") {
             continue;
         }
-        let mut file = SurveyedFile { path, name, part: None, found: None, usage: FileUse::Single };
+        let mut file =
+            SurveyedFile { path, name, part: None, clip: None, found: None, usage: FileUse::Single };
         if file.single().is_none() {
-            file.part = part_name(&file.name).filter(|_| file.path.is_file());
+            file.clip = ClipFile::of(&file.path, &file.name);
+            file.part = part_name(&file.name).filter(|_| file.path.is_file() && file.clip.is_none());
             file.usage = FileUse::Unnamed { is: None };
         }
         files.push(file);
@@ -189,6 +239,7 @@ pub(crate) fn survey(folder: &Path, stem: &str) -> Result<ModelSurvey, VisionErr
     for (stem, members) in &order {
         survey.pair(stem, members, wanted(stem));
     }
+    survey.pair_clip(folder);
     survey.recognise_the_rest();
     Ok(survey)
 }
@@ -252,9 +303,88 @@ impl ModelSurvey {
         }
     }
 
+    /// Decides about the files of CLIP: the first stem with both encoders and a tokenizer is taken.
+    fn pair_clip(&mut self, folder: &Path) {
+        let mut stems: BTreeMap<String, Vec<usize>> = BTreeMap::new();
+        for (i, file) in self.files.iter_mut().enumerate() {
+            let Some(clip) = &file.clip else { continue };
+            match &clip.found {
+                Ok(_) => stems.entry(clip.stem.clone()).or_default().push(i),
+                Err(reason) => file.usage = FileUse::RefusedClip(reason.clone()),
+            }
+        }
+        for (stem, members) in &stems {
+            self.pair_clip_of(folder, stem, members);
+        }
+    }
+
+    /// Decides about the files of CLIP with one stem, all of which can be used as far as their inputs and outputs show.
+    fn pair_clip_of(&mut self, folder: &Path, stem: &str, members: &[usize]) {
+        let best = |role: &str| {
+            let is = |i: &&usize| self.files[**i].role() == Some(role);
+            let precision = |i: &&usize| self.files[**i].clip.as_ref().map(|clip| clip.precision);
+            members.iter().filter(is).min_by_key(precision).copied()
+        };
+        let (images, texts) = (best("image encoder"), best("text encoder"));
+        let both = best("image and text encoder");
+        // Two files take less memory than one that computes the other half in vain.
+        let pair = images.zip(texts).or(both.map(|both| (both, both)));
+        let tokenizer = tokenizer_of(folder, stem);
+        let name = |part: &str| match stem {
+            "" => part.to_owned(),
+            stem => format!("{stem}_{part}"),
+        };
+        let Some((images, texts)) = pair else {
+            let (is, lacks, put) = match images {
+                Some(_) => ("an image encoder of CLIP", "text encoder", name("text_model.onnx")),
+                None => ("a text encoder of CLIP", "image encoder", name("vision_model.onnx")),
+            };
+            let usage = FileUse::Alone { is, lacks, put };
+            members.iter().for_each(|&i| self.files[i].usage = usage.clone());
+            return;
+        };
+        let dims = |i: usize| self.files[i].clip.as_ref().map_or([None; 2], ClipFile::dims);
+        let usage = match (&self.texts, dims(images)[0].zip(dims(texts)[1]), &tokenizer) {
+            (_, Some((of_images, of_texts)), _) if of_images != of_texts => {
+                let file = self.files[images].name.clone();
+                FileUse::RefusedClip(ClipFileError::Pair { texts: of_texts, file, images: of_images })
+            }
+            (_, _, None) => {
+                FileUse::Alone { is: "a part of CLIP", lacks: "tokenizer", put: TOKENIZER.to_owned() }
+            }
+            (Some(taken), ..) => {
+                let by = taken.images.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                FileUse::Superseded { by }
+            }
+            (None, _, Some(_)) => FileUse::Texts,
+        };
+        for &i in members {
+            let better = if self.files[i].role() == Some("text encoder") { texts } else { images };
+            self.files[i].usage = match i == images || i == texts {
+                true => usage.clone(),
+                false => FileUse::Superseded { by: self.files[better].name.clone() },
+            };
+        }
+        // The image encoder is sound by itself where the two do not fit.
+        if images != texts && matches!(usage, FileUse::RefusedClip(_)) {
+            self.files[images].usage = FileUse::Unpaired { by: self.files[texts].name.clone() };
+        }
+        if let (FileUse::Texts, Some(tokenizer)) = (usage, tokenizer) {
+            self.texts = Some(ClipFiles {
+                stem: stem.to_owned(),
+                images: self.files[images].path.clone(),
+                texts: self.files[texts].path.clone(),
+                tokenizer,
+                scaling: scaling_of(folder, stem),
+            });
+        }
+    }
+
     /// Recognises files of unknown names, so that none goes unmentioned.
     fn recognise_the_rest(&mut self) {
-        for file in self.files.iter_mut().filter(|file| matches!(file.usage, FileUse::Unnamed { .. })) {
+        let unnamed =
+            |file: &&mut SurveyedFile| matches!(file.usage, FileUse::Unnamed { .. }) && !file.is_clip();
+        for file in self.files.iter_mut().filter(unnamed) {
             let Some(GraphSignature { inputs, outputs }) = signature(&file.path) else { continue };
             if let Err(reason) = refuse_unnamed(&inputs, &outputs) {
                 file.usage = FileUse::Refused(reason.clone());

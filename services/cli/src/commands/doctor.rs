@@ -196,7 +196,7 @@ fn described(file: &ModelFile) -> String {
     let licence = file.family.map_or("not known: ask where it came from", |f| f.licence());
     let mb = file.bytes as f64 / 1e6;
     let usage = match &file.usage {
-        FileUse::Refused(reason) => format!("refused: {reason}"),
+        FileUse::Refused(_) | FileUse::RefusedClip(_) => format!("refused: {}", file.usage),
         usage => format!("it {usage}"),
     };
     match &file.hash {

@@ -91,8 +91,8 @@ fn without_pair(
         }
         _ => None,
     });
-    let halves: Vec<String> =
-        found.files.iter().filter(|file| matches!(file.usage, FileUse::Alone { .. })).map(words).collect();
+    let is_half = |file: &&SurveyedFile| matches!(file.usage, FileUse::Alone { .. }) && !file.is_clip();
+    let halves: Vec<String> = found.files.iter().filter(is_half).map(words).collect();
     let error = refused.or_else(|| (!halves.is_empty()).then(|| VisionError::Model(halves.join("; "))));
     let shown = error.as_ref().map(ToString::to_string).unwrap_or_default();
     let mut others = unused(found, settings).filter(|words| !shown.contains(words));
@@ -130,7 +130,8 @@ fn unused(found: &ModelSurvey, settings: &VisionSettings) -> impl Iterator<Item 
     let elsewhere = Path::new(&settings.transient_network);
     let is_used = move |file: &SurveyedFile| {
         let settled = matches!(file.usage, FileUse::Taken | FileUse::Single | FileUse::Choosable { .. });
-        settled || file.path == elsewhere
+        // The notes on queries by text name the files of CLIP.
+        settled || file.is_clip() || file.path == elsewhere
     };
     found.files.iter().filter(move |file| !is_used(file)).map(words)
 }

@@ -1,6 +1,7 @@
 //! The tests of this crate in one executable: each further one costs a link.
 
 mod builtin;
+mod clip;
 mod networks;
 mod photos;
 mod sam;

@@ -3,6 +3,7 @@
 //! are as coloured as those that were clicked, within three tolerances.
 #![allow(dead_code, reason = "each test file uses a part of it")]
 
+pub mod clip;
 pub mod onnx;
 pub mod sam2;
 
