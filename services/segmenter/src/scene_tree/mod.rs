@@ -8,8 +8,10 @@
 
 mod boundaries;
 mod corrections;
+mod describable;
 mod graph;
 mod growth;
+mod leaf_map;
 mod mask_outlines;
 mod parts;
 mod query;
@@ -17,7 +19,9 @@ mod spectral;
 mod tree;
 
 pub use corrections::{CorrectedLeaves, LeafClick, ShownLeaves};
+pub use describable::MOST_DESCRIBABLE;
 pub use graph::{CUES, FrontBorder, SplatEdge, SplatGraph, SplatsInView, TreeBuilder};
+pub use leaf_map::{LeafMap, ShownPixels};
 pub use mask_outlines::mask_outlines;
 pub use parts::{MOST_PARTS, PartMap, SceneParts};
 pub use query::GroupCandidate;

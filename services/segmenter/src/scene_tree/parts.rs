@@ -18,7 +18,7 @@ const MAX_SHARED: f32 = 0.1;
 const MIN_EXPECTED_IOU: f32 = 0.25;
 
 /// Accumulated alpha `A` under which a pixel shows no part (method, section 13). By choice; for the list alone.
-const MIN_PART_ALPHA: f32 = 0.5;
+pub(super) const MIN_PART_ALPHA: f32 = 0.5;
 
 /// The parts of a scene, the likeliest things first. They are numbered from 1.
 #[derive(Clone, Debug, Default, PartialEq)]
