@@ -71,6 +71,7 @@ pub use output::objects::{ExportedObjects, ListedObjects, ObjectList, SceneObjec
 pub use output::render::{FRAMES_AROUND, Mode, RenderContent, RenderRequest, RenderedFile, UNSEEN, render};
 pub use output::report::write_report;
 pub use output::splat_files::{ConvertedFormat, ExportFormat, SplatTransform};
+pub use output::text_query::{TextMatch, TextRanking};
 pub use output::video::FRAMES_PER_SECOND;
 
 pub use run::{

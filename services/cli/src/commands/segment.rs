@@ -7,7 +7,9 @@ use crate::output::{print_json, print_line};
 use crate::progress::{duration, stop_on_ctrl_c};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_flow::Stopper;
-use segwild_pipeline::{Code, ObjectList, PhotoPrompts, Replay, RunFolder, Settings};
+use segwild_pipeline::{
+    Code, ObjectList, PhotoPrompts, Replay, RunFolder, SegmentOutcome, Settings, TextMatch, TextRanking,
+};
 use segwild_scene::{BoxPrompt, PointPrompt, Prompts};
 use segwild_segmenter::Alternative;
 
@@ -38,8 +40,15 @@ pub fn command() -> Command {
             .help("An object of the list of `segwild objects`, instead of clicks"),
     )
     .arg(
+        Arg::new("text")
+            .long("text")
+            .value_name("TEXT")
+            .conflicts_with_all(["photo", "positive", "negative", "box", "granularity", "object"])
+            .help("Words for it, by a CLIP model in `--models`: 'the dome', or 'all windows'"),
+    )
+    .arg(
         args::path("prompts", "Repeat the prompts of this file (prompts.json of a selection)")
-            .conflicts_with_all(["photo", "positive", "negative", "box", "granularity", "object"]),
+            .conflicts_with_all(["photo", "positive", "negative", "box", "granularity", "object", "text"]),
     )
     .arg(
         Arg::new("name")
@@ -92,16 +101,10 @@ pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
     if done.seen_once > 0 {
         print_line(&format!("{} splats that one photo alone shows were left out", done.seen_once))?;
     }
-    let others =
-        done.alternatives.iter().enumerate().filter(|(i, _)| *i != settings.segment.alternative as usize);
-    let others: Vec<String> = others
-        .map(|(i, alternative)| match alternative {
-            Alternative::Group(area) => format!("--alternative {i} ({:.1} % of the scene)", 100.0 * area),
-            Alternative::Photo => format!("--alternative {i} (the clicked photo's own mask)"),
-        })
-        .collect();
-    if !others.is_empty() {
-        print_line(&format!("the clicks may also mean {}", others.join(", ")))?;
+    let alternative = settings.segment.alternative as usize;
+    match &done.ranking {
+        Some(ranking) => print_ranking(ranking, alternative)?,
+        None => print_alternatives(&done, alternative)?,
     }
     for note in &done.notes {
         print_line(&format!("warning: {note}"))?;
@@ -110,10 +113,46 @@ pub fn segment(matches: &ArgMatches) -> Result<(), Failure> {
     print_line(&format!("masks:  {}", done.folder.join("masks").display()))
 }
 
+/// What else clicks may mean.
+fn print_alternatives(done: &SegmentOutcome, selected: usize) -> Result<(), Failure> {
+    let others = done.alternatives.iter().enumerate().filter(|(i, _)| *i != selected);
+    let others: Vec<String> = others
+        .map(|(i, alternative)| match alternative {
+            Alternative::Group(area) => format!("--alternative {i} ({:.1} % of the scene)", 100.0 * area),
+            Alternative::Photo => format!("--alternative {i} (the clicked photo's own mask)"),
+        })
+        .collect();
+    if others.is_empty() {
+        return Ok(());
+    }
+    print_line(&format!("the clicks may also mean {}", others.join(", ")))
+}
+
+/// What a text may mean: what it selects, and a line for each other match.
+fn print_ranking(ranking: &TextRanking, selected: usize) -> Result<(), Failure> {
+    let selected = selected.min(ranking.matches.len().saturating_sub(1));
+    let described = |found: &TextMatch| {
+        let what = match (found.groups, found.object) {
+            (groups, _) if groups > 1 => format!("{groups} groups together"),
+            (_, Some(number)) => format!("object {number}"),
+            _ => "a group that is not listed".to_owned(),
+        };
+        let share = 100.0 * found.light;
+        format!("{what}, {share:.1} % of the scene, shown best by {}, score {:.2}", found.photo, found.score)
+    };
+    if let Some(found) = ranking.matches.get(selected) {
+        print_line(&format!("`{}` is {}", ranking.text, described(found)))?;
+    }
+    for (i, found) in ranking.matches.iter().enumerate().filter(|(i, _)| *i != selected) {
+        print_line(&format!("--alternative {i} is {}", described(found)))?;
+    }
+    Ok(())
+}
+
 /// Which kind of prompt, where it stands on the command line, and its text.
 type Given<'a> = (usize, &'static str, &'a String);
 
-/// The prompts on the command line, each on the photo named last before it, an object of the list, or what a file asks.
+/// The prompts on the command line, each on the photo named last before it, an object of the list, a text, or what a file asks.
 fn replay(matches: &ArgMatches, folder: &RunFolder) -> Result<Replay, Failure> {
     if let Some(file) = path_of(matches, "prompts") {
         return Ok(Replay::read(&file)?);
@@ -125,6 +164,9 @@ fn replay(matches: &ArgMatches, folder: &RunFolder) -> Result<Replay, Failure> {
             ));
         };
         return Ok(Replay { object: Some(list.query(object)?), ..Replay::default() });
+    }
+    if let Some(text) = matches.get_one::<String>("text") {
+        return Ok(Replay { text: Some(text.clone()), ..Replay::default() });
     }
     let mut given: Vec<Given> = Vec::new();
     for kind in ["photo", "positive", "negative", "box"] {
@@ -156,7 +198,7 @@ fn replay(matches: &ArgMatches, folder: &RunFolder) -> Result<Replay, Failure> {
     }
     if photos.is_empty() {
         return Err(Failure::usage(
-            "nothing is prompted: give --photo NAME --positive x,y, --object N or --prompts FILE",
+            "nothing is prompted: give --photo NAME --positive x,y, --object N, --text WORDS or --prompts FILE",
         ));
     }
     Ok(Replay { prompts: photos, ..Replay::default() })

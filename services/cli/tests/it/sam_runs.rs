@@ -1,5 +1,5 @@
 //! A run by networks of the SAM family: its masks, its embeddings and a click into it; what is kept, and what is made again
-//! when a file changes. The networks are small ones of the same interfaces.
+//! when a file changes; objects by a text with CLIP. The networks are small ones of the same interfaces.
 
 #[path = "../../../vision/tests/it/toy/mod.rs"]
 mod toy;
@@ -109,6 +109,53 @@ fn a_scene_tree_is_grown_from_masks_of_sam_and_sam_stays_the_first_answer() {
     assert!(text(&refused.stderr).contains("no scene tree"), "{}", text(&refused.stderr));
     completes(&args);
     assert!(alternatives().len() > 1);
+}
+
+#[test]
+fn a_text_selects_what_it_describes_and_its_alternatives_are_the_next_best() {
+    if !can_run("a_text_selects_what_it_describes_and_its_alternatives_are_the_next_best") {
+        return;
+    }
+    let dir = folder();
+    let (models, run) = (dir.path().join("models"), copied_run(&dir));
+    toy::clip::write_usual(&models);
+    let (models_text, run_text) = (show(&models), show(&run));
+    let args = ["segment", &run_text, "--text", "the red things", "--name", "it", "--json"];
+    let models_flag = ["--models", &models_text];
+    let answer = json(works(&[&args[..], &models_flag].concat()).as_bytes());
+    let matches = answer["ranking"]["matches"].as_array().expect("a list");
+    assert!(matches.len() > 1 && matches[0]["photo"].is_string(), "{answer}");
+    assert_eq!(answer["alternatives"].as_array().map(Vec::len), Some(matches.len()), "{answer}");
+    let scores: Vec<f64> = matches.iter().map(|m| m["score"].as_f64().expect("a score")).collect();
+    assert!(scores.is_sorted_by(|a, b| a >= b) && scores[0] <= 1.0, "{scores:?}");
+    assert!(answer["splats"].as_u64().is_some_and(|splats| splats > 0), "{answer}");
+    assert!(run.join("cache/described.d").is_dir(), "crops are embedded once");
+    // A text is kept as one, and ranked again.
+    let prompts = show(&run.join("selections/it/prompts.json"));
+    assert!(std::fs::read_to_string(&prompts).expect("it is there").contains("\"text\": \"the red things\""));
+    let of_file = ["segment", &run_text, "--prompts", &prompts, "--name", "again"];
+    works(&[&of_file[..], &models_flag].concat());
+    let object = |name: &str| {
+        std::fs::read(run.join("selections").join(name).join("object.ply")).expect("it is there")
+    };
+    assert!(object("it") == object("again"));
+    let all = ["segment", &run_text, "--text", "all blue", "--name", "other", "--alternative", "1"];
+    let shown = works(&[&all[..], &models_flag].concat());
+    assert!(shown.contains("`all blue` is "), "{shown}");
+    assert!(object("it") != object("other"));
+    // What cannot be answered.
+    refuses(&["segment", &run_text, "--text", " ", "--models", &models_text], 2, &["the text is empty"]);
+    refuses(&["segment", &run_text, "--text", "x", "--object", "1"], 2, &["--object"]);
+    let without = ["segment", &run_text, "--text", "the dome"];
+    refuses(&without, 3, &["no model of texts is here.", "clip-vit-base-patch32", "licence"]);
+    std::fs::remove_file(models.join("tokenizer.json")).expect("it goes");
+    refuses(
+        &[&without[..], &models_flag].concat(),
+        3,
+        &["without its tokenizer: put `tokenizer.json` beside it"],
+    );
+    let page = works(&["doctor", "--models", &models_text]);
+    assert!(page.contains("text_model.onnx: CLIP, text encoder, inputs and outputs of CLIP"), "{page}");
 }
 
 #[test]

@@ -39,6 +39,9 @@ pub struct Replay {
     /// An object of the scene's list, in the stead of prompts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub object: Option<ObjectQuery>,
+    /// A text that describes the object, in the stead of prompts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub text: Option<String>,
     /// The settings of the selection; `None` in a file that a person wrote, where the run's own settings serve.
     #[serde(default)]
     pub settings: Option<SegmentSettings>,
@@ -51,6 +54,16 @@ impl From<&[PhotoPrompts]> for Replay {
 }
 
 impl Replay {
+    /// Whether nothing is requested.
+    pub fn is_empty(&self) -> bool {
+        self.prompts.is_empty() && self.object.is_none() && self.text.is_none()
+    }
+
+    /// Whether it is answered from the scene tree, whatever the settings are.
+    pub fn needs_tree(&self) -> bool {
+        self.object.is_some() || self.text.is_some()
+    }
+
     /// Reads a file that `segment` or a person wrote; a bare list of prompts will do.
     ///
     /// # Errors
@@ -69,7 +82,7 @@ impl Replay {
             other => RunError::Request(other.to_string()),
         })?;
         match serde_json::from_str(&text).map(without_removed).and_then(serde_json::from_value) {
-            Ok(Either::Whole(replay)) if replay.object.is_some() || !replay.prompts.is_empty() => Ok(replay),
+            Ok(Either::Whole(replay)) if !replay.is_empty() => Ok(replay),
             Ok(Either::List(prompts)) => Ok(prompts.as_slice().into()),
             _ => Err(RunError::Request(format!(
                 "{}: is no prompts file: expected what `segwild segment` writes as prompts.json",

@@ -11,5 +11,6 @@ pub(crate) mod objects;
 pub(crate) mod render;
 pub(crate) mod report;
 pub(crate) mod splat_files;
+pub(crate) mod text_query;
 pub(crate) mod video;
 pub(crate) mod without;

@@ -1,15 +1,17 @@
 //! The answer to prompts: while it is made, and the last one.
 
-use crate::{Replay, RunError};
+use crate::{Replay, RunError, TextRanking};
 use segwild_flow::{Observer, Phase, Receiver, Stopper};
 use segwild_scene::Scene;
-use segwild_segmenter::{AnswerStep, SegmentError, SegmentReply, Segmented};
+use segwild_segmenter::{Alternative, AnswerStep, SegmentError, SegmentReply, Segmented};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// An answer that is being made.
 pub struct PendingAnswer {
     pub(super) replay: Replay,
+    /// What the text of the query may mean, if it has one.
+    pub(super) ranking: Option<TextRanking>,
     pub(super) scene: Arc<Scene>,
     pub(super) size: u32,
     pub(super) began: Instant,
@@ -22,6 +24,8 @@ pub struct PendingAnswer {
 pub struct Answer {
     /// The request, with the settings of the selection.
     pub replay: Replay,
+    /// What the text of the query may mean, if it has one.
+    pub ranking: Option<TextRanking>,
     /// What it selects.
     pub segmented: Box<Segmented>,
     /// Seconds from the prompts to the answer.
@@ -40,9 +44,13 @@ impl PendingAnswer {
         loop {
             match self.answers.blocking_recv() {
                 Some(SegmentReply::Step(at, labels)) => step(at, &labels),
-                Some(SegmentReply::Done(Ok(segmented))) => {
+                Some(SegmentReply::Done(Ok(mut segmented))) => {
                     let select_s = self.began.elapsed().as_secs_f64();
-                    return Ok(Answer { replay: self.replay, segmented, select_s });
+                    if let Some(ranking) = &self.ranking {
+                        let groups = ranking.matches.iter().map(|found| Alternative::Group(found.light));
+                        segmented.alternatives = groups.collect();
+                    }
+                    return Ok(Answer { replay: self.replay, ranking: self.ranking, segmented, select_s });
                 }
                 Some(SegmentReply::Done(Err(error))) => {
                     return Err(in_photo_pixels(error, &self.scene, self.size));

@@ -11,9 +11,11 @@ use crate::artifacts::scene_tree::TreeSource;
 use crate::code::{Code, providers_for};
 use crate::output::light::{self, find};
 use crate::output::objects::ListRequest;
+use crate::output::text_query::DescribeRequest;
 use crate::run::skies;
 use crate::{
-    ObjectQuery, PhotoPrompts, Replay, RunError, RunFolder, Settings, choose_engine, log_loss, transients,
+    ObjectQuery, PhotoPrompts, Replay, RunError, RunFolder, Settings, TextRanking, choose_engine, log_loss,
+    transients,
 };
 use segwild_flow::{ActorOptions, Cache, Limits, Phase, Sender, Stopper, System, SystemOptions, mailbox};
 use segwild_objective::Engine;
@@ -230,23 +232,48 @@ impl Session {
         Ok(ListRequest { photos: &self.photos, model: &self.model, tree, key: key.clone() })
     }
 
-    /// Asks for the object of the prompts, or for one of the scene's list. Queries are answered one after the other; `cancel`
-    /// ends this one.
+    /// Ranks the groups of the scene by a text. The first text crops and embeds them, which takes up to a minute; after that a text
+    /// costs its own embedding.
     ///
     /// # Errors
-    /// When the prompts cannot be used, the list is of an earlier training, or the session has ended.
+    /// When the text cannot be used, no model of texts is here, the run has no scene tree, or `stopper` stops it.
+    pub fn rank_text(&self, text: &str, stopper: &Stopper) -> Result<TextRanking, RunError> {
+        TextRanking::check(text)?;
+        let embedder = self.providers.text_embedder()?;
+        let scene = self.list_request()?;
+        let tree = scene.tree;
+        let transients = transients::of_run(&self.folder, &self.scene);
+        let request = DescribeRequest { scene, embedder, transients: &transients };
+        let described = request.groups(&self.folder.cache()?, stopper)?;
+        let photos: Vec<&str> = self.scene.views.iter().map(|view| view.name.as_str()).collect();
+        TextRanking::of(text, &described, tree, &photos, embedder)
+    }
+
+    /// Asks for the object of the prompts, for one of the scene's list, or for what a text describes: the setting `alternative` says
+    /// which match of the text. Queries are answered one after the other; `cancel` ends this one.
+    ///
+    /// # Errors
+    /// When the prompts cannot be used, the list is of an earlier training, the text cannot be ranked
+    /// ([`Session::rank_text`]), or the session has ended.
     pub fn ask(
         &self,
         replay: &Replay,
         settings: &SegmentSettings,
         cancel: &Stopper,
     ) -> Result<PendingAnswer, RunError> {
-        let (prompts, group) = match &replay.object {
-            Some(object) => {
+        let began = Instant::now();
+        let ranking = replay.text.as_ref().map(|text| self.rank_text(text, cancel)).transpose()?;
+        let by_text = ranking.as_ref().and_then(|ranking| ranking.selected(settings.alternative));
+        let (prompts, group) = match (by_text, &replay.object) {
+            (Some(found), _) => {
+                let views = found.views.iter().map(|&view| (view, Prompts::default()));
+                (views.collect(), Some(found.meant.clone()))
+            }
+            (None, Some(object)) => {
                 let (view, group) = self.listed(object)?;
                 (vec![(view, Prompts::default())], Some(group))
             }
-            None => {
+            (None, None) => {
                 check_all(&replay.prompts)?;
                 let queries = replay.prompts.iter().map(|p| self.query(p));
                 (queries.collect::<Result<Vec<_>, _>>()?, None)
@@ -262,9 +289,10 @@ impl Session {
         self.tasks.blocking_send_urgent(task).map_err(|e| failed(e.to_string()))?;
         Ok(PendingAnswer {
             replay: Replay { settings: Some(settings.clone()), ..replay.clone() },
+            ranking,
             scene: self.scene.clone(),
             size: self.made_with.scene.size,
-            began: Instant::now(),
+            began,
             observer: self.system.observer(),
             stoppers: [cancel.clone(), self.system.stopper()],
             answers,

@@ -10,7 +10,7 @@ use crate::output::light::{self, find};
 use crate::output::object_masks::ObjectMasks;
 use crate::output::report;
 use crate::settings::AT_ONCE;
-use crate::{PhotoPrompts, RunError, RunFolder, transients};
+use crate::{PhotoPrompts, RunError, RunFolder, TextRanking, transients};
 use rayon::prelude::*;
 use segwild_flow::{FileError, fault, files};
 use segwild_scene::{Export, Image, Mask, Scene, ScoredMask, View};
@@ -55,6 +55,9 @@ pub struct SegmentOutcome {
     pub alternatives: Vec<Alternative>,
     /// How sure the selection is, by photo and by side.
     pub confidence: SelectionConfidence,
+    /// What the text may mean, with scores, in the order of the alternatives; `None` where no text selected.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ranking: Option<TextRanking>,
     /// Warnings about the prompts and the selection, a sentence each.
     pub notes: Vec<String>,
     /// Seconds from the prompts to the selection, the scene being loaded.
@@ -102,7 +105,7 @@ impl Session {
         let Session {
             folder, made_with, scene, model, engine, providers, files: image_files, system, ..
         } = self;
-        let Answer { replay, segmented, select_s } = answer;
+        let Answer { replay, ranking, segmented, select_s } = answer;
         let appearance = replay.settings.as_ref().map_or("", |settings| &settings.object_appearance);
         RunFolder::can_name(name)?;
         image_files.fit(&folder.selection(name))?;
@@ -130,6 +133,7 @@ impl Session {
             expected_iou: *expected_iou,
             alternatives: alternatives.clone(),
             confidence: confidence.clone(),
+            ranking: ranking.clone(),
             notes: prompt_warnings(folder, scene, &replay.prompts, masks),
             agreeing: count(PhotoVerdict::Accepted),
             disagreeing: count(PhotoVerdict::Disagrees),

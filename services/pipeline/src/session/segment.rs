@@ -23,7 +23,7 @@ pub fn segment(
 ) -> Result<SegmentOutcome, RunError> {
     RunFolder::can_name(name)?;
     check_all(&replay.prompts)?;
-    let tree = settings.first_answer == FirstAnswer::Tree || replay.object.is_some();
+    let tree = settings.first_answer == FirstAnswer::Tree || replay.needs_tree();
     let providers = providers.cloned();
     let session = Session::open(
         folder,

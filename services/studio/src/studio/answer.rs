@@ -36,7 +36,12 @@ impl Studio {
 
     pub(super) fn replay(&self, draft: &ObjectDraft) -> Replay {
         let settings = SegmentSettings { alternative: draft.alternative, ..self.settings.clone() };
-        Replay { prompts: draft.prompts.clone(), object: draft.listed.clone(), settings: Some(settings) }
+        Replay {
+            prompts: draft.prompts.clone(),
+            object: draft.listed.clone(),
+            text: None,
+            settings: Some(settings),
+        }
     }
 
     pub(super) fn settings_of(&self, replay: &Replay) -> SegmentSettings {

@@ -7,6 +7,7 @@ mod list;
 mod npy;
 mod sheet;
 
+pub(crate) use bounds::bounds;
 pub use export::ExportedObjects;
 pub(crate) use export::{coco_masks, write_objects};
 pub(crate) use list::ListRequest;
