@@ -120,7 +120,7 @@ fn a_text_selects_what_it_describes_and_its_alternatives_are_the_next_best() {
     let (models, run) = (dir.path().join("models"), copied_run(&dir));
     toy::clip::write_usual(&models);
     let (models_text, run_text) = (show(&models), show(&run));
-    let args = ["segment", &run_text, "--text", "the red things", "--name", "it", "--json"];
+    let args = ["segment", &run_text, "--text", "the red", "--name", "it", "--json"];
     let models_flag = ["--models", &models_text];
     let answer = json(works(&[&args[..], &models_flag].concat()).as_bytes());
     let matches = answer["ranking"]["matches"].as_array().expect("a list");
@@ -132,7 +132,7 @@ fn a_text_selects_what_it_describes_and_its_alternatives_are_the_next_best() {
     assert!(run.join("cache/described.d").is_dir(), "crops are embedded once");
     // A text is kept as one, and ranked again.
     let prompts = show(&run.join("selections/it/prompts.json"));
-    assert!(std::fs::read_to_string(&prompts).expect("it is there").contains("\"text\": \"the red things\""));
+    assert!(std::fs::read_to_string(&prompts).expect("it is there").contains("\"text\": \"the red\""));
     let of_file = ["segment", &run_text, "--prompts", &prompts, "--name", "again"];
     works(&[&of_file[..], &models_flag].concat());
     let object = |name: &str| {
