@@ -48,6 +48,8 @@ pub struct RunDescription {
     pub tree: bool,
     /// The step of the training that the scene is of; `null` where the training is over.
     pub snapshot: Option<u32>,
+    /// Whether texts are answered: there is a model of texts, and a scene tree.
+    pub texts: bool,
 }
 
 /// A run that is being trained, before and after its first scene.
@@ -117,6 +119,14 @@ pub enum StudioAction {
     Listed {
         /// Its number.
         number: usize,
+    },
+    /// Requests what a text describes.
+    Text {
+        /// Some words, such as `the dome` or `all windows`; 300 characters at most.
+        text: String,
+        /// Which of the answer's alternatives is wanted.
+        #[serde(default)]
+        alternative: u32,
     },
     /// Takes up an object's prompts again: the next answer that is kept replaces it.
     Refine {
@@ -404,6 +414,8 @@ pub struct DraftMessage {
     pub of: Option<ObjectId>,
     /// Which of the answer's alternatives is selected.
     pub alternative: u32,
+    /// A text that describes the object.
+    pub text: Option<String>,
 }
 
 /// How far an answer has come.
@@ -425,6 +437,8 @@ pub struct AnswerMessage {
     pub seconds: f64,
     /// How sure the answer is; `null` until it is done.
     pub confidence: Option<ConfidenceMessage>,
+    /// How likely the text describes each alternative rather than any object, 0 to 1; empty without a text.
+    pub scores: Vec<f32>,
 }
 
 /// How sure an answer is.

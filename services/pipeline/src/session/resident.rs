@@ -232,6 +232,11 @@ impl Session {
         Ok(ListRequest { photos: &self.photos, model: &self.model, tree, key: key.clone() })
     }
 
+    /// Whether a model of texts is here, for [`Session::rank_text`].
+    pub fn answers_texts(&self) -> bool {
+        self.providers.texts.is_some()
+    }
+
     /// Ranks the groups of the scene by a text. The first text crops and embeds them, which takes up to a minute; after that a text
     /// costs its own embedding.
     ///

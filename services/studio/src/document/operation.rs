@@ -15,6 +15,9 @@ pub struct ObjectDraft {
     /// An object of the scene's list, in the stead of prompts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub listed: Option<ObjectQuery>,
+    /// A text that describes the object, in the stead of prompts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub text: Option<String>,
     /// Which of the answer's alternatives is selected.
     #[serde(default)]
     pub alternative: u32,
@@ -26,7 +29,7 @@ pub struct ObjectDraft {
 impl ObjectDraft {
     /// Whether nothing is requested.
     pub fn is_empty(&self) -> bool {
-        self.prompts.is_empty() && self.listed.is_none()
+        self.prompts.is_empty() && self.listed.is_none() && self.text.is_none()
     }
 }
 

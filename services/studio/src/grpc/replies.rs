@@ -63,6 +63,7 @@ pub(super) fn description(description: RunDescription) -> v1::RunDescription {
         palette,
         tree,
         snapshot,
+        texts,
     } = description;
     let rgb =
         |[red, green, blue]: [u8; 3]| v1::Rgb { red: red.into(), green: green.into(), blue: blue.into() };
@@ -78,6 +79,7 @@ pub(super) fn description(description: RunDescription) -> v1::RunDescription {
         palette: palette.into_iter().map(rgb).collect(),
         tree,
         snapshot,
+        texts,
     }
 }
 
@@ -112,12 +114,13 @@ fn appearance(appearance: AppearanceMessage) -> v1::AppearanceMessage {
 }
 
 fn draft(draft: DraftMessage) -> v1::DraftMessage {
-    let DraftMessage { prompts: all, listed, of, alternative } = draft;
+    let DraftMessage { prompts: all, listed, of, alternative, text } = draft;
     v1::DraftMessage {
         prompts: all.into_iter().map(prompts).collect(),
         listed: listed.map(small),
         of,
         alternative,
+        text,
     }
 }
 
@@ -141,8 +144,17 @@ fn alternative(alternative: Alternative) -> v1::Alternative {
 }
 
 fn answer(answer: AnswerMessage) -> v1::AnswerMessage {
-    let AnswerMessage { number, state, step: from, splats, alternatives, error, seconds, confidence: sure } =
-        answer;
+    let AnswerMessage {
+        number,
+        state,
+        step: from,
+        splats,
+        alternatives,
+        error,
+        seconds,
+        confidence: sure,
+        scores,
+    } = answer;
     v1::AnswerMessage {
         number,
         state: state.into(),
@@ -152,6 +164,7 @@ fn answer(answer: AnswerMessage) -> v1::AnswerMessage {
         error,
         seconds,
         confidence: sure.map(confidence),
+        scores,
     }
 }
 

@@ -84,6 +84,7 @@ pub(super) fn action(what: Option<Do>) -> Parsed<StudioAction> {
             alternative: v.alternative,
         },
         Do::Listed(v) => StudioAction::Listed { number: v.number as usize },
+        Do::Text(v) => StudioAction::Text { text: v.text, alternative: v.alternative },
         Do::Refine(v) => StudioAction::Refine { id: v.id },
         Do::Keep(v) => StudioAction::Keep { name: v.name },
         Do::Rename(v) => StudioAction::Rename { id: v.id, name: v.name },

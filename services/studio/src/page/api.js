@@ -10,7 +10,7 @@
 /** @typedef {{number: number, name: string, splats: number, photos: number, photo: number}} Listed */
 /**
  * @typedef {{name: string, provider: string, splats: number, size: number, photos: Photo[], centre: number[], up: number[],
- *   listed: Listed[], palette: number[][], tree: boolean, snapshot: number | null}} Description
+ *   listed: Listed[], palette: number[][], tree: boolean, snapshot: number | null, texts: boolean}} Description
  */
 /** @typedef {{step: number, loss: number, psnr: number, splats: number, left_out: number}} Moment */
 /** @typedef {{photos: string[], history: Moment[], snapshot: number | null}} Training */
@@ -27,9 +27,9 @@
  */
 /**
  * @typedef {{revision: number,
- *   draft: {prompts: Prompts[], listed: number | null, of: number | null, alternative: number},
+ *   draft: {prompts: Prompts[], listed: number | null, of: number | null, alternative: number, text: string | null},
  *   answer: {number: number, state: string, step: any, splats: number, alternatives: any[], error: string | null, seconds: number,
- *     confidence: Confidence | null},
+ *     confidence: Confidence | null, scores: number[]},
  *   objects: Item[], isolated: number | null, appearance: Appearance, corrected: number[], cut_spikes: boolean, changes: string,
  *   undo: string | null, redo: string | null, notes: string[]}} State
  */

@@ -350,7 +350,9 @@ export class App {
 
   /** @param {number} alternative */
   alternative(alternative) {
-    if (this.state) this.act({ do: "prompt", prompts: this.state.draft.prompts, alternative });
+    const draft = this.state?.draft;
+    if (draft?.text) this.act({ do: "text", text: draft.text, alternative });
+    else if (draft) this.act({ do: "prompt", prompts: draft.prompts, alternative });
   }
 
   /** @param {number} steps */
@@ -436,7 +438,7 @@ export class App {
         return this.act({ do: "keep" });
       },
       drop: () => {
-        if (state?.draft.prompts.length || state?.draft.listed !== null) return this.act({ do: "prompt", prompts: [] });
+        if (state?.draft.prompts.length || state?.draft.listed !== null || state?.draft.text !== null) return this.act({ do: "prompt", prompts: [] });
         if (state?.isolated !== null) return this.act({ do: "isolate", id: null });
         this.select(null);
       },

@@ -39,9 +39,16 @@ export class Side {
     this.thumbs = new Map();
     this.renaming = /** @type {number | null} */ (null);
     this.rendered = { answer: "", objects: "", listed: "" };
+    const words = /** @type {HTMLInputElement} */ (of("words-text"));
+    words.placeholder = text("words_example");
+    of("words").addEventListener("submit", event => {
+      event.preventDefault();
+      if (words.value.trim()) app.act({ do: "text", text: words.value.trim(), alternative: 0 });
+    });
   }
 
   update() {
+    of("words").hidden = !this.app.description?.texts;
     this.answer();
     this.objects();
     this.listed();
@@ -91,7 +98,8 @@ export class Side {
     parts.push(element("label", { className: "row" }, element("span", { className: "quiet" }, text("level")), level, named));
     if (answer.alternatives.length > 1) {
       const chips = answer.alternatives.map((alternative, k) => {
-        const shown = typeof alternative === "object" ? text("alternative_group", (100 * alternative.group).toPrecision(2)) : text("alternative_photo");
+        const share = typeof alternative === "object" ? text("alternative_group", (100 * alternative.group).toPrecision(2)) : text("alternative_photo");
+        const shown = k < answer.scores.length ? text("alternative_score", share, answer.scores[k].toFixed(2)) : share;
         return button(shown, shown, () => app.alternative(k), { "aria-pressed": k === draft.alternative });
       });
       parts.push(element("p", { className: "quiet" }, text("alternatives")), element("div", { className: "row" }, ...chips));

@@ -173,7 +173,7 @@ export class PhotoPane {
   /** Asks for the candidate under the pointer; one request at a time, the newest position counts. */
   async hover() {
     const { app, hovered } = this;
-    if (!hovered || app.tool !== "prompt" || app.transients || !app.state || app.state.draft.prompts.length || app.state.draft.listed !== null) {
+    if (!hovered || app.tool !== "prompt" || app.transients || !app.state || app.state.draft.prompts.length || app.state.draft.listed !== null || app.state.draft.text !== null) {
       return this.clearCandidate();
     }
     if (this.hovering) return;

@@ -16,6 +16,12 @@ const MOST_STEPS: i32 = 32;
 /// Prompts of one query at most.
 const MOST_PROMPTS: usize = 256;
 
+/// Characters of a query's text at most.
+const LONGEST_TEXT: usize = 300;
+
+/// Characters of a text that names the object that it described, at most.
+const LONGEST_TEXT_AS_NAME: usize = 40;
+
 impl Studio {
     /// Does what a person wants.
     ///
@@ -31,7 +37,17 @@ impl Studio {
             StudioAction::Prompt { prompts, alternative } => {
                 let prompts = self.as_taken(&prompts)?;
                 let of = objects.draft.of.filter(|_| !prompts.is_empty());
-                Operation::Draft { draft: ObjectDraft { prompts, listed: None, alternative, of } }
+                Operation::Draft { draft: ObjectDraft { prompts, alternative, of, ..ObjectDraft::default() } }
+            }
+            StudioAction::Text { text, alternative } => {
+                let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+                if text.chars().count() > LONGEST_TEXT || text.chars().any(char::is_control) {
+                    return Err(StudioError::Request(
+                        "a text has 300 characters at most, and none that controls a terminal",
+                    ));
+                }
+                let text = Some(text).filter(|text| !text.is_empty());
+                Operation::Draft { draft: ObjectDraft { text, alternative, ..ObjectDraft::default() } }
             }
             StudioAction::Listed { number } => {
                 let list =
@@ -146,8 +162,11 @@ impl Studio {
         Ok(self.session.scene().views[photo].name.clone())
     }
 
-    /// The name of a new object: that of the listed one, or a number.
+    /// The name of a new object: that of the listed one, a short text that described it, or a number.
     pub(super) fn name_for(&self, draft: &ObjectDraft, id: ObjectId) -> String {
+        if let Some(text) = draft.text.as_ref().filter(|text| text.chars().count() <= LONGEST_TEXT_AS_NAME) {
+            return text.clone();
+        }
         let listed = draft
             .listed
             .as_ref()

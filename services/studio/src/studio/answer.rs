@@ -39,7 +39,7 @@ impl Studio {
         Replay {
             prompts: draft.prompts.clone(),
             object: draft.listed.clone(),
-            text: None,
+            text: draft.text.clone(),
             settings: Some(settings),
         }
     }
@@ -134,6 +134,8 @@ fn answer(studio: &Weak<Studio>, number: u64, replay: &Replay, stopper: &Stopper
                 answer.message.splats = selected.labels.iter().filter(|label| **label).count();
                 answer.message.alternatives.clone_from(&done.segmented.alternatives);
                 answer.message.confidence.clone_from(&sure);
+                let matches = done.ranking.iter().flat_map(|ranking| &ranking.matches);
+                answer.message.scores = matches.map(|found| found.score).collect();
                 answer.selected = Some(selected.clone());
             });
         }

@@ -161,6 +161,7 @@ impl Studio {
             palette: COLOURS.to_vec(),
             tree: self.session.tree().is_some(),
             snapshot: self.snapshot,
+            texts: self.session.tree().is_some() && self.session.answers_texts(),
         }
     }
 
@@ -187,6 +188,7 @@ impl Studio {
                 listed: objects.draft.listed.as_ref().map(|listed| listed.number),
                 of: objects.draft.of,
                 alternative: objects.draft.alternative,
+                text: objects.draft.text.clone(),
             },
             answer: AnswerMessage {
                 state: if state.answer.message.state.is_empty() {

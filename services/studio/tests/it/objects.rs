@@ -164,6 +164,13 @@ fn a_listed_part_is_kept_and_refined_under_the_same_number() {
     assert_eq!((message.objects.len(), message.objects[0].id, message.draft.of), (1, 1, None));
     assert!(studio.sheet().unwrap().starts_with(b"\x89PNG"));
     assert!(studio.act(StudioAction::Listed { number: 99 }).is_err());
+    // Without a model of texts, a text is answered with what is missing.
+    assert!(!studio.describe().texts);
+    studio.act(StudioAction::Text { text: " the  dome".into(), alternative: 0 }).unwrap();
+    let message = answered(&studio);
+    assert_eq!(message.draft.text.as_deref(), Some("the dome"));
+    assert!(message.answer.error.as_ref().is_some_and(|e| e.contains("no model of texts")), "{message:?}");
+    assert!(studio.act(StudioAction::Text { text: "x".repeat(301), alternative: 0 }).is_err());
 }
 
 #[test]

@@ -148,6 +148,7 @@ fn what_is_requested_is_what_the_document_describes() {
     let actions = [
         json!({ "do": "prompt", "prompts": prompts, "alternative": 1 }),
         json!({ "do": "listed", "number": 2 }),
+        json!({ "do": "text", "text": "the dome", "alternative": 1 }),
         json!({ "do": "refine", "id": 1 }),
         json!({ "do": "keep", "name": null }),
         json!({ "do": "keep", "name": "statue" }),
