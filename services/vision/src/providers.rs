@@ -133,7 +133,13 @@ impl Providers {
         let (proposer, segmenter) = masks.of_masks(&builtin);
         let transients = transients(settings, service.as_ref(), &mut notes, &mut networks)?;
         // It takes no part in a run, so that no run records its files.
-        let texts = find_clip(settings, &mut notes)?.map(|clip| Arc::new(clip) as Arc<dyn TextEmbedder>);
+        let texts: Option<Arc<dyn TextEmbedder>> = match of_service(RemoteVision::embeds_texts) {
+            Some(service) => {
+                notes.push(format!("text: the vision service {}", service.addresses()));
+                Some(service.clone())
+            }
+            None => find_clip(settings, &mut notes)?.map(|clip| Arc::new(clip) as Arc<dyn TextEmbedder>),
+        };
         networks.extend(service.iter().map(|service| service.as_network_file()));
         let remote_calls = service.map_or(0, |service| service.calls());
         let (embedder, name) = (describes.embedder(&builtin), masks.name());

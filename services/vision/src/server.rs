@@ -1,7 +1,7 @@
 //! The server: this machine's providers for other machines.
 
 use crate::service::wire::{self, Arriving, MessageError};
-use crate::{Providers, VisionError};
+use crate::{Providers, TextEmbedder, VisionError};
 use futures_util::StreamExt;
 use futures_util::stream::{self, BoxStream};
 use segwild_files::lock;
@@ -135,7 +135,7 @@ pub fn serve_vision(providers: Providers, options: VisionServiceOptions) -> std:
 
 /// What providers can do.
 fn described(providers: &Providers, parallel: usize) -> v1::DescribeResponse {
-    let Providers { embedder, proposer, segmenter, sky, transients, name, .. } = providers;
+    let Providers { embedder, proposer, segmenter, sky, transients, texts, name, .. } = providers;
     let model = |capability: Capability, key: String| v1::Model { capability: capability.into(), key };
     let mut models = vec![
         model(Capability::Embed, embedder.key()),
@@ -147,6 +147,11 @@ fn described(providers: &Providers, parallel: usize) -> v1::DescribeResponse {
     models.extend(transients.iter().map(|network| model(Capability::FindTransients, network.key())));
     if matches!(segmenter.boundary_strengths(&Image::zeros(PROBE, PROBE, 3)), Ok(Some(_))) {
         models.push(model(Capability::FindBoundaries, segmenter.key()));
+    }
+    match texts.as_ref().map(|texts| texts.key()) {
+        Some(Ok(key)) => models.push(model(Capability::EmbedText, key)),
+        Some(Err(error)) => tracing::warn!("no texts are served: {error}"),
+        None => {}
     }
     v1::DescribeResponse {
         name: name.clone(),
@@ -228,6 +233,11 @@ fn refused(error: VisionError) -> Status {
 }
 
 impl Service {
+    fn text_model(&self) -> Result<Arc<dyn TextEmbedder>, Status> {
+        let none = || Status::unimplemented("no model of texts is served here");
+        self.providers.texts.clone().ok_or_else(none)
+    }
+
     fn image(&self, hash: &str) -> Result<Arc<Image>, Status> {
         let kept = lock(&self.images).get(hash);
         kept.ok_or_else(|| Status::not_found("this image is not here: put it first"))
@@ -364,6 +374,33 @@ impl v1::vision_server::Vision for Service {
             return Err(Status::unimplemented("this model finds whole objects, no boundaries"));
         };
         Ok(streamed(wire::answer_parts(&found.data, [found.width, found.height, found.channels])))
+    }
+
+    async fn embed_text(
+        &self,
+        request: Request<v1::EmbedTextRequest>,
+    ) -> Result<Response<v1::EmbedTextResponse>, Status> {
+        let model = self.text_model()?;
+        let texts = wire::texts(request.into_inner().texts)?;
+        let found = self.compute(move |_| model.embed_texts(&texts)).await?;
+        Ok(Response::new(v1::EmbedTextResponse { vectors: wire::vectors(found) }))
+    }
+
+    async fn embed_crops(
+        &self,
+        request: Request<v1::EmbedCropsRequest>,
+    ) -> Result<Response<v1::EmbedCropsResponse>, Status> {
+        let model = self.text_model()?;
+        let hashes = request.into_inner().images;
+        wire::few_embedded(hashes.len())?;
+        let crops: Vec<Arc<Image>> = hashes.iter().map(|hash| self.image(hash)).collect::<Result<_, _>>()?;
+        let found = self
+            .compute(move |_| {
+                let crops: Vec<Image> = crops.iter().map(|crop| Image::clone(crop)).collect();
+                model.embed_images(&crops)
+            })
+            .await?;
+        Ok(Response::new(v1::EmbedCropsResponse { vectors: wire::vectors(found) }))
     }
 }
 

@@ -3,14 +3,15 @@
 use super::member::{Client, Member, described};
 use super::pool::{CallError, ServicePool, ServiceTerms};
 use super::queue::Priority;
-use super::wire::{self, Arriving, MOST_MESSAGE, MessageError, NamedImage};
+use super::wire::{self, Arriving, MOST_EMBEDDED, MOST_MESSAGE, MessageError, NamedImage};
 use crate::network_file::NetworkFile;
 use crate::provider::check_certainty;
 use crate::sam::{bounds, middle};
 use crate::service_address::ServiceAddress;
 use crate::service_error::ServiceError;
 use crate::{
-    Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, TransientDetector, VisionError, Work,
+    Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, TextEmbedder, TransientDetector,
+    VisionError, Work,
 };
 use futures_util::stream;
 use segwild_files::lock;
@@ -97,6 +98,11 @@ impl RemoteVision {
         self.key_of(Capability::FindTransients).is_some()
     }
 
+    /// Whether they embed texts and crops.
+    pub fn embeds_texts(&self) -> bool {
+        self.key_of(Capability::EmbedText).is_some()
+    }
+
     /// Calls that are worth making at the same time: those that all of them take, and a few that wait.
     pub fn calls(&self) -> usize {
         self.pool.calls()
@@ -104,7 +110,9 @@ impl RemoteVision {
 
     /// What a run records of them, as of a network file.
     pub(crate) fn as_network_file(&self) -> NetworkFile {
-        let keys = self.pool.described.keys.values().fold(String::new(), |all, key| all + key + "\n");
+        // Texts take no part in a run.
+        let of_run = self.pool.described.keys.iter().filter(|(of, _)| **of != Capability::EmbedText);
+        let keys = of_run.fold(String::new(), |all, (_, key)| all + key + "\n");
         let hash = blake3::hash(keys.as_bytes()).to_hex()[..16].to_owned();
         let addresses: Vec<String> =
             self.pool.members.iter().map(|member| member.address.to_string()).collect();
@@ -320,6 +328,41 @@ impl PromptSegmenter for RemoteVision {
             }
             Ok(Some(found))
         })
+    }
+}
+
+impl TextEmbedder for RemoteVision {
+    fn key(&self) -> Result<String, VisionError> {
+        Ok(key(self, Capability::EmbedText))
+    }
+
+    fn embed_images(&self, images: &[Image]) -> Result<Vec<Vec<f32>>, VisionError> {
+        let mut found = Vec::with_capacity(images.len());
+        for some in images.chunks(MOST_EMBEDDED) {
+            let (count, some) = (some.len(), some.iter().collect::<Vec<_>>());
+            found.extend(self.call(Priority::Click, &some, move |mut client, hashes| async move {
+                let request = v1::EmbedCropsRequest { images: hashes };
+                Ok(wire::vectors_of(client.embed_crops(request).await?.into_inner().vectors, count)?)
+            })?);
+        }
+        Ok(found)
+    }
+
+    fn embed_texts(&self, texts: &[String]) -> Result<Vec<Vec<f32>>, VisionError> {
+        let mut found = Vec::with_capacity(texts.len());
+        for some in texts.chunks(MOST_EMBEDDED) {
+            let request = v1::EmbedTextRequest { texts: some.to_vec() };
+            let count = some.len();
+            found.extend(
+                self.call(Priority::Click, &[], move |mut client, _| {
+                    let request = request.clone();
+                    async move {
+                        Ok(wire::vectors_of(client.embed_text(request).await?.into_inner().vectors, count)?)
+                    }
+                })?,
+            );
+        }
+        Ok(found)
     }
 }
 

@@ -247,6 +247,48 @@ pub(crate) fn position([x, y]: [f32; 2]) -> v1::Position {
     v1::Position { x, y }
 }
 
+/// Texts or crops of one call, at most.
+pub(crate) const MOST_EMBEDDED: usize = 64;
+/// Characters of a text at most.
+const MOST_CHARACTERS: usize = 1024;
+/// Numbers of an embedding at most.
+const MOST_DIMS: usize = 8192;
+
+/// Refuses more texts or crops than one call may have.
+pub(crate) fn few_embedded(count: usize) -> Read<()> {
+    match count <= MOST_EMBEDDED {
+        true => Ok(()),
+        false => Err(MessageError("there are more than 64 texts or crops in one call")),
+    }
+}
+
+/// Texts of a message.
+pub(crate) fn texts(texts: Vec<String>) -> Read<Vec<String>> {
+    few_embedded(texts.len())?;
+    match texts.iter().any(|text| text.chars().count() > MOST_CHARACTERS) {
+        true => Err(MessageError("a text has more than 1024 characters")),
+        false => Ok(texts),
+    }
+}
+
+/// Embeddings as messages.
+pub(crate) fn vectors(vectors: Vec<Vec<f32>>) -> Vec<v1::EmbeddingVector> {
+    vectors.into_iter().map(|numbers| v1::EmbeddingVector { numbers }).collect()
+}
+
+/// So many embeddings of a message, unit vectors of one length.
+pub(crate) fn vectors_of(messages: Vec<v1::EmbeddingVector>, count: usize) -> Read<Vec<Vec<f32>>> {
+    let dims = messages.first().map_or(0, |first| first.numbers.len());
+    let is_unit = |vector: &v1::EmbeddingVector| {
+        let length: f32 = vector.numbers.iter().map(|v| v * v).sum();
+        vector.numbers.len() == dims && (0.9..=1.1).contains(&length)
+    };
+    if messages.len() != count || dims > MOST_DIMS || !messages.iter().all(is_unit) {
+        return Err(MessageError("the embeddings are no unit vectors of one length, one each"));
+    }
+    Ok(messages.into_iter().map(|vector| vector.numbers).collect())
+}
+
 /// Positions of a message.
 pub(crate) fn positions(messages: &[v1::Position]) -> Read<Vec<[f32; 2]>> {
     bounded(messages.len())?;

@@ -7,7 +7,7 @@ use crate::toy::clip::{
 };
 use crate::toy::onnx::OPEN;
 use segwild_scene::Image;
-use segwild_vision::{FileUse, Providers, VisionSettings, models_in};
+use segwild_vision::{FileUse, Providers, VisionServiceOptions, VisionSettings, models_in, serve_vision};
 use std::path::Path;
 
 fn providers(folder: &Path) -> Providers {
@@ -72,6 +72,31 @@ fn a_text_is_nearest_to_the_image_that_it_describes_in_every_export() {
         put(at, "merges.txt", merges.as_bytes());
     });
     assert!(same(&fixed), "{fixed:?}");
+}
+
+#[test]
+fn a_service_embeds_texts_and_crops_as_its_model_does() {
+    if !can_run("a_service_embeds_texts_and_crops_as_its_model_does") {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    write_usual(folder.path());
+    let here = providers(folder.path());
+    let address = "127.0.0.1:0".parse().unwrap();
+    let options = VisionServiceOptions { address, token: None, memory: 64 << 20, parallel: 1 };
+    let server = serve_vision(providers(folder.path()), options).unwrap();
+    let settings = VisionSettings {
+        vision_service: format!("grpc://{}", server.address()),
+        ..VisionSettings::default()
+    };
+    let there = Providers::from_settings(&settings).unwrap();
+    let (here, there) = (here.text_embedder().unwrap(), there.text_embedder().unwrap());
+    assert_eq!(there.key().unwrap(), format!("service {}", here.key().unwrap()));
+    let crops = [coloured([0.8, 0.2, 0.3], 24), coloured([0.1, 0.5, 0.7], 30)];
+    assert_eq!(there.embed_images(&crops).unwrap(), here.embed_images(&crops).unwrap());
+    // More than one call may have.
+    let texts: Vec<String> = (0..70).map(|i| ["a photo of red", "blue things"][i % 2].to_owned()).collect();
+    assert_eq!(there.embed_texts(&texts).unwrap(), here.embed_texts(&texts).unwrap());
 }
 
 #[test]
