@@ -254,11 +254,11 @@ mod tests {
     }
 
     /// Words are axes: a text is near to the groups of its word.
-    struct Axes(Mutex<Vec<String>>);
+    struct WordAxes(Mutex<Vec<String>>);
 
     const AXES: [&str; 3] = ["red", "green", "blue"];
 
-    impl TextEmbedder for Axes {
+    impl TextEmbedder for WordAxes {
         fn key(&self) -> Result<String, VisionError> {
             Ok("axes".into())
         }
@@ -313,7 +313,7 @@ mod tests {
             group(1, 0, 0, [0.99, 0.05, 0.0, 0.1]),
             group(0, 4, 0, [0.8, 0.7, 0.0, 0.1]),
         ];
-        let axes = Axes(Mutex::default());
+        let axes = WordAxes(Mutex::default());
         let photos = ["a.jpg", "b.jpg"];
         let ranking = TextRanking::of(text, &DescribedGroups { groups }, &tree(), &photos, &axes).unwrap();
         let texts = axes.0.into_inner().unwrap();
