@@ -248,6 +248,9 @@ pub fn renamed_value(words: &[String]) -> Option<String> {
 }
 
 #[cfg(test)]
+mod deployed;
+
+#[cfg(test)]
 mod tests {
     use super::*;
     use segwild_pipeline::Settings;

@@ -1,13 +1,15 @@
 //! `segwild status`
 
+use crate::exit;
 use crate::failure::Failure;
 use crate::farm::{target, target_args};
+use crate::operators::{listen, metrics_listen};
 use crate::output::{print_json, print_line};
-use crate::progress::duration;
+use crate::progress::{duration, on_ctrl_c};
 use clap::{Arg, ArgAction, ArgMatches, Command};
-use segwild_monitor::MonitorView;
 use segwild_monitor::view::{BatchView, RunView, Runs, SceneState, StageView};
 use segwild_monitor::words::bytes;
+use segwild_monitor::{MonitorTarget, MonitorView};
 use std::sync::mpsc;
 use std::time::Duration;
 
@@ -23,16 +25,35 @@ pub fn command() -> Command {
         .about("Say what a run, a batch or a farm has done and is doing")
         .after_help(crate::args::examples(
             "segwild status runs/trevi",
-            "segwild status runs/night --follow --json",
+            "segwild status --farm nats://queue:4222/night --metrics-listen 127.0.0.1:9464",
         ))
         .arg(flag("once", "One sample, then exit; so it is without --follow as well"))
         .arg(flag("follow", "A sample a second, as long as a process works on it").conflicts_with("once"))
         .arg(crate::args::json())
+        .arg(metrics_listen().conflicts_with_all(["once", "follow", "json"]))
+}
+
+/// Serves what is shown instead of printing it, until stopped.
+fn stay(matches: &ArgMatches, target: MonitorTarget) -> Result<(), Failure> {
+    let (stop, stopped) = mpsc::channel();
+    on_ctrl_c(move |press| {
+        // It writes nothing: an end at any time is as good.
+        if press > 1 || stop.send(()).is_err() {
+            std::process::exit(exit::INTERRUPTED.into());
+        }
+    })?;
+    let _server = listen(matches, target, false)?;
+    // The sender lives as long as the process.
+    let _ = stopped.recv();
+    Ok(())
 }
 
 /// Says what a run, a batch or a farm has done and is doing, also while another process runs it.
 pub fn status(matches: &ArgMatches) -> Result<(), Failure> {
     let target = target(matches)?;
+    if matches.contains_id("metrics-listen") {
+        return stay(matches, target);
+    }
     // A channel that nobody sends to: waiting on it is waiting for the next sample.
     let (_never, next) = mpsc::channel::<()>();
     let mut runs = Runs::default();

@@ -118,8 +118,21 @@ pub fn worker(matches: &ArgMatches) -> Result<(), Failure> {
             report = print_json(event);
         }
     })?;
-    eprintln!("{}", if stopped { "stopped; other workers continue the scenes" } else { "no scene is left" });
-    Ok(())
+    match stopped {
+        // Of one that drains, 0 says that no scene is left.
+        true if matches.get_flag("drain") => Err(Failure {
+            message: "stopped before the farm was empty; other workers continue the scenes".into(),
+            code: exit::INTERRUPTED,
+        }),
+        true => {
+            eprintln!("stopped; other workers continue the scenes");
+            Ok(())
+        }
+        false => {
+            eprintln!("no scene is left");
+            Ok(())
+        }
+    }
 }
 
 #[cfg(test)]

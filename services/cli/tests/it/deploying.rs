@@ -1,6 +1,7 @@
 //! What `deploy/` lets a container or a service do, and what somebody who starts them has to set.
 
 use crate::common::*;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -24,7 +25,21 @@ fn parts(yaml: &str, heading: &str) -> Vec<(String, String)> {
 
 #[test]
 fn every_container_is_confined_and_bounded() {
+    for (file, count) in [("compose.yaml", 3), ("compose.farm.yaml", 6)] {
+        is_confined_and_bounded(file, count);
+    }
     let compose = read("compose.yaml");
+    let services = parts(&compose, "services:");
+    let batch = &services.iter().find(|(name, _)| name == "segwild").expect("the batch").1;
+    assert!(
+        batch.contains("networks: [inside]") && compose.contains("inside:\n    internal: true"),
+        "{batch}"
+    );
+    assert!(read("Containerfile").lines().any(|line| line == "USER 1000"), "the image runs as root");
+}
+
+fn is_confined_and_bounded(file: &str, count: usize) {
+    let compose = read(file);
     let confined: Vec<_> =
         parts(&compose, "x-confined: &confined").into_iter().map(|(line, _)| line).collect();
     for line in
@@ -34,7 +49,7 @@ fn every_container_is_confined_and_bounded() {
     }
     assert!(confined.iter().any(|l| l.starts_with("pids_limit: ")), "{confined:?}");
     let services = parts(&compose, "services:");
-    assert_eq!(services.len(), 3, "{services:?}");
+    assert_eq!(services.len(), count, "{services:?}");
     for (name, service) in &services {
         let has = |start: &str| service.lines().any(|line| line.trim_start().starts_with(start));
         assert!(has("<<: *confined"), "{name} is not confined");
@@ -45,28 +60,27 @@ fn every_container_is_confined_and_bounded() {
         assert!(!undone.iter().any(|line| has(line)), "{name} undoes what it is confined by");
         for port in service.lines().filter(|line| line.trim_start().starts_with("- \"") && line.contains(':'))
         {
-            assert!(port.contains("\"127.0.0.1:"), "{name} is open to the network: {port}");
+            let inside =
+                ["\"127.0.0.1:", "\"${ADDRESS:-127.0.0.1}:"].iter().any(|start| port.contains(start));
+            assert!(inside, "{name} is open to the network: {port}");
         }
     }
-    let batch = &services.iter().find(|(name, _)| name == "segwild").expect("the batch").1;
-    assert!(
-        batch.contains("networks: [inside]") && compose.contains("inside:\n    internal: true"),
-        "{batch}"
-    );
-    assert!(read("Containerfile").lines().any(|line| line == "USER 1000"), "the image runs as root");
 }
 
 #[test]
 fn no_image_floats() {
-    let (compose, container) = (read("compose.yaml"), read("Containerfile"));
-    let named = |line: &str| line.trim().strip_prefix("image: ").map(str::to_owned);
+    let (compose, container) = (read("compose.yaml") + &read("compose.farm.yaml"), read("Containerfile"));
+    // One that is built here has no digest before.
+    let named = |line: &str| {
+        line.trim().strip_prefix("image: ").filter(|image| *image != "segwild:latest").map(str::to_owned)
+    };
     let by_default = |line: &str| {
         let (name, image) = line.strip_prefix("ARG ")?.split_once('=')?;
         name.ends_with("_IMAGE").then(|| image.to_owned())
     };
     let images: Vec<String> =
         compose.lines().filter_map(named).chain(container.lines().filter_map(by_default)).collect();
-    assert_eq!(images.len(), 4, "{images:?}");
+    assert_eq!(images.len(), 6, "{images:?}");
     for image in &images {
         let (tag, digest) = image.split_once("@sha256:").unwrap_or_else(|| panic!("{image} has no digest"));
         assert!(digest.len() == 64 && digest.bytes().all(|b| b.is_ascii_hexdigit()), "{image}");
@@ -92,14 +106,21 @@ fn grafana_asks_for_a_password_that_somebody_has_set() {
 /// Everything that compose demands stands on the operators' page, and nothing secret has a value in the repository.
 #[test]
 fn the_operators_page_says_what_has_to_be_set() {
-    let (compose, page) = (read("compose.yaml"), read("../docs/guide/operate.md"));
-    let mut demanded = 0;
-    for part in compose.split("${").skip(1) {
-        let name: String = part.chars().take_while(|c| c.is_ascii_uppercase() || *c == '_').collect();
-        assert!(page.contains(&name), "{name} is not explained");
-        demanded += usize::from(part[name.len()..].starts_with(":?"));
+    let page = read("../docs/guide/operate.md");
+    for (file, page, all) in [
+        ("compose.yaml", &page, &["DATA", "GRAFANA_PASSWORD", "PHOTOS"][..]),
+        ("compose.farm.yaml", &read("../docs/guide/farm.md"), &["DATA"]),
+    ] {
+        let mut demanded = BTreeSet::new();
+        for part in read(file).split("${").skip(1) {
+            let name: String = part.chars().take_while(|c| c.is_ascii_uppercase() || *c == '_').collect();
+            assert!(page.contains(&name), "{name} of {file} is not explained");
+            if part[name.len()..].starts_with(":?") {
+                demanded.insert(name);
+            }
+        }
+        assert!(demanded.iter().eq(all), "{file}: {demanded:?}");
     }
-    assert_eq!(demanded, 3, "photos, data, the password");
     for word in ["MemoryMax", "LimitNOFILE", "--build-arg", "digest"] {
         assert!(page.contains(word), "{word} is not explained");
     }
@@ -107,7 +128,7 @@ fn the_operators_page_says_what_has_to_be_set() {
 
 #[test]
 fn the_services_are_bounded_and_may_do_little() {
-    for name in ["segwild-batch", "segwild-worker"] {
+    for name in ["segwild-batch", "segwild-worker", "segwild-vision", "segwild-monitor"] {
         let unit = read(&format!("systemd/{name}@.service"));
         for line in [
             "MemoryMax=85%",
@@ -126,7 +147,7 @@ fn the_services_are_bounded_and_may_do_little() {
         ] {
             assert!(unit.lines().any(|l| l == line), "{name}: `{line}` is missing");
         }
-        // A batch speaks to nobody; a worker has a farm, wherever that is.
+        // A batch speaks to nobody; the others have a farm or clients, wherever these are.
         let closed = unit.lines().any(|l| l == "IPAddressDeny=any");
         assert_eq!(closed, name == "segwild-batch");
         let analyze = |args: &[&str]| Command::new("systemd-analyze").args(args).output();

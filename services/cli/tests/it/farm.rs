@@ -149,8 +149,36 @@ fn what_is_wrong_with_a_farm_is_named_in_words() {
     );
 }
 
-/// What Slurm does with deploy/slurm/worker.sbatch: it runs it, and sends SIGTERM to it before its time is over. `scontrol` is a
-/// stand-in that writes down how it is called.
+/// A script of `deploy/slurm/` as Slurm starts it. `scontrol` is a stand-in that writes down how it is called, to `scontrol.log`;
+/// what the script prints goes to `slurm.log`.
+fn under_slurm(dir: &Path, script: &str) -> Command {
+    let tools = dir.join("bin");
+    if !tools.exists() {
+        std::fs::create_dir(&tools).expect("a folder");
+        std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_segwild"), tools.join("segwild")).expect("a link");
+        let stand_in = format!("#!/bin/sh\necho \"$@\" >> {}\n", show(&dir.join("scontrol.log")));
+        std::fs::write(tools.join("scontrol"), stand_in).expect("it writes");
+        let made = Command::new("chmod").arg("+x").arg(tools.join("scontrol")).status();
+        assert!(made.expect("`chmod` is there").success());
+    }
+    let log = std::fs::File::create(dir.join("slurm.log")).expect("a log");
+    let paths = format!("{}:{}", show(&tools), std::env::var("PATH").unwrap_or_default());
+    let mut command = Command::new("bash");
+    command
+        .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/slurm").join(script))
+        .env("PATH", paths)
+        .envs([("SLURM_JOB_ID", "7"), ("SLURM_CPUS_PER_TASK", "1")])
+        .stdout(Stdio::null())
+        .stderr(log);
+    command
+}
+
+/// How `scontrol` was called.
+fn scontrol_calls(dir: &Path) -> String {
+    std::fs::read_to_string(dir.join("scontrol.log")).unwrap_or_default().trim().to_owned()
+}
+
+/// What Slurm does with deploy/slurm/worker.sbatch: it runs it, and sends SIGTERM to it before its time is over.
 #[test]
 fn a_worker_under_slurm_hands_its_scene_back_when_its_time_is_over_and_is_requeued() {
     let dir = folder();
@@ -160,24 +188,13 @@ fn a_worker_under_slurm_hands_its_scene_back_when_its_time_is_over_and_is_requeu
     let handed =
         batch(path, &farm, &manifest(path, &["a"]), &["--no-wait"]).wait_with_output().expect("it ends");
     assert!(handed.status.success(), "{}", text(&handed.stderr));
-    let tools = path.join("bin");
-    std::fs::create_dir(&tools).expect("a folder");
-    std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_segwild"), tools.join("segwild")).expect("a link");
-    let stand_in = format!("#!/bin/sh\necho \"$@\" >> {}\n", show(&path.join("scontrol.log")));
-    std::fs::write(tools.join("scontrol"), stand_in).expect("it writes");
-    let made = Command::new("chmod").arg("+x").arg(tools.join("scontrol")).status();
-    assert!(made.expect("`chmod` is there").success());
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/slurm/worker.sbatch");
-    let log = std::fs::File::create(path.join("slurm.log")).expect("a log");
-    let paths = format!("{}:{}", show(&tools), std::env::var("PATH").unwrap_or_default());
-    let child = Command::new("bash")
-        .arg(script)
-        .env("PATH", paths)
-        .envs([("SEGWILD_FARM", &*farm), ("SLURM_JOB_ID", "7"), ("SLURM_CPUS_PER_TASK", "1")])
-        .envs([("SLURM_MEM_PER_NODE", "2048"), ("SEGWILD_FLAGS", "--store-every 1")])
+    let child = under_slurm(path, "worker.sbatch")
+        .envs([
+            ("SEGWILD_FARM", &*farm),
+            ("SLURM_MEM_PER_NODE", "2048"),
+            ("SEGWILD_FLAGS", "--store-every 1"),
+        ])
         .env("SLURM_TMPDIR", path.join("node"))
-        .stdout(Stdio::null())
-        .stderr(log)
         .spawn()
         .expect("bash starts");
     let mut child = Guarded(child);
@@ -185,12 +202,37 @@ fn a_worker_under_slurm_hands_its_scene_back_when_its_time_is_over_and_is_requeu
     signal(&child.0, "-TERM");
     assert!(child.0.wait().expect("it ends").success(), "{}", log_of(path));
     assert!(log_of(path).contains("other workers continue"), "{}", log_of(path));
-    let called = std::fs::read_to_string(path.join("scontrol.log")).unwrap_or_default();
-    assert_eq!(called.trim(), "requeue 7", "{}", log_of(path));
+    assert_eq!(scontrol_calls(path), "requeue 7", "{}", log_of(path));
     let left = std::fs::read_dir(path.join("node")).map(|files| files.count()).unwrap_or_default();
     assert_eq!(left, 0, "its folder is removed");
     let status = works(&["status", "--farm", &farm]);
     assert!(status.contains("night/a: waiting"), "{status}");
+}
+
+#[test]
+fn a_scene_under_slurm_fails_with_bad_photos_and_is_requeued_when_its_time_is_over() {
+    let dir = folder();
+    let path = dir.path();
+    let list = path.join("scenes.txt");
+    std::fs::write(&list, format!("/nowhere/at/all\n{}\n", show(scene()))).expect("it writes");
+    let element = |task: &str, flags: &str| {
+        let mut command = under_slurm(path, "scenes.sbatch");
+        command.arg(&list).env("SEGWILD_RUNS", path.join("runs"));
+        Guarded(
+            command
+                .envs([("SLURM_ARRAY_TASK_ID", task), ("SEGWILD_FLAGS", flags)])
+                .spawn()
+                .expect("bash starts"),
+        )
+    };
+    let failed = element("1", "").0.wait().expect("it ends");
+    assert_eq!((failed.code(), scontrol_calls(path)), (Some(3), String::new()), "{}", log_of(path));
+    let mut stopped = element("2", "--size 96 --steps 4000");
+    let run = path.join("runs").join(scene().file_name().expect("a name"));
+    until("its beginning", || run.join("run.lock").exists().then_some(()));
+    signal(&stopped.0, "-TERM");
+    assert!(stopped.0.wait().expect("it ends").success(), "{}", log_of(path));
+    assert_eq!(scontrol_calls(path), "requeue 7", "{}", log_of(path));
 }
 
 fn log_of(dir: &Path) -> String {
