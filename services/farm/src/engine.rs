@@ -321,6 +321,34 @@ impl JobStatus {
     }
 }
 
+/// What a worker has done, as far as the log says it. Times are seconds since 1970, by the clock of the log.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct WorkerTally {
+    /// Attempts that ended in a result.
+    pub done: u64,
+    /// Attempts that failed.
+    pub failed: u64,
+    /// Jobs that were handed back as they were.
+    pub returned: u64,
+    /// Jobs that it fell silent with.
+    pub silent: u64,
+    /// When it last took, renewed, stored or ended a job, or kept capacity for one.
+    pub seen: f64,
+    /// The record that says so.
+    pub(crate) seen_by: u64,
+}
+
+/// How long an engine's log is, and what reading it has cost this handle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FarmLogState {
+    /// Records in the log when it was last read to its end.
+    pub records: u64,
+    /// Records that this handle has read and folded into its table so far.
+    pub read_records: u64,
+    /// Time that this took, in seconds.
+    pub read_s: f64,
+}
+
 /// Jobs with leases. Deliveries are at least once; the fence makes effects exactly once.
 ///
 /// Every engine passes [`conformance`](crate::conformance).
@@ -419,4 +447,18 @@ pub trait JobEngine: Send + Sync {
     /// # Errors
     /// When the store fails.
     fn jumps(&self) -> Result<Vec<f64>, EngineError>;
+
+    /// What each worker has done, by its name. An engine may have forgotten workers that were not seen for longest; one for a
+    /// single machine need not remember any.
+    ///
+    /// # Errors
+    /// When the store fails.
+    fn tallies(&self) -> Result<BTreeMap<String, WorkerTally>, EngineError> {
+        Ok(BTreeMap::new())
+    }
+
+    /// How long the log is, when it was last read; `None` where the engine keeps none that others read.
+    fn log_state(&self) -> Option<FarmLogState> {
+        None
+    }
 }

@@ -61,8 +61,8 @@ pub use clock::{JobClock, SimulatedClock, SystemClock};
 pub use crew::{BatchEvent, StopBatch, StopLevel};
 pub use embedded::EmbeddedEngine;
 pub use engine::{
-    ChangeKind, Completed, EngineError, ErrorClass, JobChange, JobEngine, JobFate, JobLease, JobState,
-    JobStatus, Published, WorkerOffer,
+    ChangeKind, Completed, EngineError, ErrorClass, FarmLogState, JobChange, JobEngine, JobFate, JobLease,
+    JobState, JobStatus, Published, WorkerOffer, WorkerTally,
 };
 pub use job::{Job, Needs, Retry};
 pub use log::TransitionLog;

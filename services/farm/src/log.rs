@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use crate::engine::{
-    ChangeKind, Completed, EngineError, ErrorClass, JobChange, JobEngine, JobFate, JobLease, JobStatus,
-    Published, WorkerOffer,
+    ChangeKind, Completed, EngineError, ErrorClass, FarmLogState, JobChange, JobEngine, JobFate, JobLease,
+    JobStatus, Published, WorkerOffer, WorkerTally,
 };
 use crate::job::Job;
 use crate::table::{Decision, JobTable};
@@ -46,6 +46,11 @@ pub trait TransitionLog: Send + Sync {
     /// # Errors
     /// When the log cannot be read or written.
     fn met_jumps(&self) -> Result<Vec<f64>, EngineError>;
+
+    /// How long it is, when it was last read; `None` where it is a file of this machine.
+    fn extent_read(&self) -> Option<FarmLogState> {
+        None
+    }
 }
 
 impl<L: TransitionLog> JobEngine for L {
@@ -113,5 +118,13 @@ impl<L: TransitionLog> JobEngine for L {
 
     fn jumps(&self) -> Result<Vec<f64>, EngineError> {
         self.met_jumps()
+    }
+
+    fn tallies(&self) -> Result<BTreeMap<String, WorkerTally>, EngineError> {
+        self.with_table(|table| table.workers.clone())
+    }
+
+    fn log_state(&self) -> Option<FarmLogState> {
+        self.extent_read()
     }
 }

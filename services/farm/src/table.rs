@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::engine::{
     ChangeKind, Completed, EngineError, ErrorClass, JobChange, JobFate, JobLease, JobState, JobStatus,
-    Published, WorkerOffer,
+    Published, WorkerOffer, WorkerTally,
 };
 use crate::job::Job;
 use crate::transition::Transition;
@@ -21,6 +21,9 @@ pub(crate) const CLOCK_SLACK_S: f64 = 1.0;
 
 /// A worker that keeps capacity free for a job says so again before so many seconds are over; else another one may.
 const KEEP_S: f64 = 300.0;
+
+/// So many workers are remembered: machines come and go, and a new one has a new name.
+const MOST_WORKERS: usize = 512;
 
 /// What is to be appended to the log, and what is answered once it is.
 #[derive(Debug)]
@@ -80,6 +83,9 @@ pub struct JobTable {
     pub(crate) revision: u64,
     /// How often each kind of change has happened.
     pub(crate) counts: BTreeMap<ChangeKind, u64>,
+    /// What each worker has done.
+    #[serde(default)]
+    pub(crate) workers: BTreeMap<String, WorkerTally>,
     /// The ranks of jobs that are pending, the most urgent first.
     #[serde(skip)]
     queue: BTreeSet<(Reverse<i32>, u64)>,
@@ -339,9 +345,13 @@ impl JobTable {
     fn follow(&mut self, transition: &Transition, now: f64, record: u64) -> Vec<JobChange> {
         match transition {
             Transition::Published(job) => return self.published(job, now, record),
-            Transition::ClockSet { seconds, since } | Transition::TimesMoved { seconds, since } => {
+            Transition::ClockSet { seconds, since } => {
                 self.move_times(*seconds, *since);
+                for tally in self.workers.values_mut().filter(|tally| tally.seen_by < *since) {
+                    tally.seen += seconds;
+                }
             }
+            Transition::TimesMoved { seconds, since } => self.move_times(*seconds, *since),
             _ => {}
         }
         let Some(rank) = transition.job().and_then(|id| self.ranks.get(id)).copied() else {
@@ -354,9 +364,38 @@ impl JobTable {
             return Vec::new();
         }
         let Some(entry) = self.entries.get_mut(&rank) else { return Vec::new() };
+        let holder = entry.status.worker.clone();
         let noted = entry.follow(transition, now, record);
         let (id, attempt) = (entry.status.job.id.clone(), entry.status.attempt);
+        self.tally(transition, holder, now, record);
         noted.into_iter().map(|(kind, detail)| self.change(now, &id, kind, attempt, detail)).collect()
+    }
+
+    /// Books what a transition says of the worker that held the job before it, or takes it.
+    fn tally(&mut self, transition: &Transition, holder: Option<String>, now: f64, record: u64) {
+        let worker = match transition {
+            Transition::Claimed { worker, .. } | Transition::Kept { worker, .. } => Some(worker.clone()),
+            _ => holder,
+        };
+        let Some(worker) = worker else { return };
+        let tally = self.workers.entry(worker).or_default();
+        match transition {
+            Transition::Completed { .. } => tally.done += 1,
+            Transition::Failed { .. } => tally.failed += 1,
+            Transition::Released { .. } => tally.returned += 1,
+            Transition::Expired { .. } => tally.silent += 1,
+            _ => {}
+        }
+        // Others note that it fell silent, and may hand back what it held: that is no sign of life.
+        if !matches!(transition, Transition::Expired { .. } | Transition::Released { .. }) {
+            (tally.seen, tally.seen_by) = (now, record);
+        }
+        if self.workers.len() > MOST_WORKERS {
+            let longest = self.workers.iter().min_by(|(_, a), (_, b)| a.seen.total_cmp(&b.seen));
+            if let Some(name) = longest.map(|(name, _)| name.clone()) {
+                self.workers.remove(&name);
+            }
+        }
     }
 
     fn change(&mut self, time: f64, job: &str, kind: ChangeKind, attempt: u32, detail: String) -> JobChange {

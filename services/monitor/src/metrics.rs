@@ -1,12 +1,12 @@
 //! The view as Prometheus text. Every name is in [`Metric`]; dashboards and alert rules use no other.
 //!
 //! Seconds and bytes are base units, counters end in `_total`, and no photo's or folder's name is a label. A batch adds
-//! up its scenes; their names become labels only on request.
+//! up its scenes; their names become labels only on request. The workers of a farm are labels.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use crate::view::{MonitorView, RunState, RunView, SceneState};
+use crate::view::{FarmView, MonitorView, RunState, RunView, SceneState};
 
 /// What kind of number it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,6 +66,14 @@ metrics! {
     DeadLetters = "segwild_dead_letters", Gauge, Sum, "Scenes that were given up.";
     SceneRetries = "segwild_scene_retries_total", Counter, Sum, "Attempts at a scene that failed and were followed by another.";
     LeaseExpired = "segwild_lease_expired_total", Counter, Sum, "Leases of scenes that ran out without a heartbeat.";
+    FarmQueueDepth = "segwild_farm_queue_depth", Gauge, Sum, "Scenes of a farm that could start, by the accelerator that they want.";
+    FarmOldestWaiting = "segwild_farm_oldest_waiting_seconds", Gauge, Max, "For how long the scene of a farm that has waited longest could have started.";
+    FarmWorkerScenes = "segwild_farm_worker_scenes", Gauge, Sum, "Scenes that a worker of a farm holds.";
+    FarmWorkerAttempts = "segwild_farm_worker_attempts_total", Counter, Sum, "Scenes that a worker of a farm had, by how that ended: done, failed, returned, silent.";
+    FarmHeartbeatAge = "segwild_farm_heartbeat_age_seconds", Gauge, Max, "Time since the last sign of life of a worker that holds scenes.";
+    FarmLogRecords = "segwild_farm_log_records", Gauge, Max, "Records in a farm's log, since it was compacted.";
+    FarmLogReadRecords = "segwild_farm_log_read_records_total", Counter, Sum, "Records of a farm's log that this process has folded into its table.";
+    FarmLogReadTime = "segwild_farm_log_read_seconds_total", Counter, Sum, "Time that reading and folding these records took.";
     EngineConnected = "segwild_engine_connected", Gauge, Min, "Whether the batch's engine can be read.";
     BudgetCores = "segwild_budget_cores", Gauge, Sum, "Cores of the batch's budget: declared in all, used now.";
     BudgetMemory = "segwild_budget_memory_bytes", Gauge, Sum, "Memory of the batch's budget: declared in all, used now.";
@@ -230,9 +238,40 @@ pub fn render(view: Option<&MonitorView>, per_scene: bool) -> String {
                 }
             }
             disk(&mut values, batch.disk);
+            if let Some(farm) = &batch.farm {
+                of_farm(&mut values, farm);
+            }
         }
     }
     values.text()
+}
+
+/// What only a farm has. Workers are labels: a machine has one name, however often it is started in its folder.
+fn of_farm(values: &mut MetricValues, farm: &FarmView) {
+    for (accelerator, scenes) in &farm.queue {
+        values.put(Metric::FarmQueueDepth, &[("accelerator", accelerator)], *scenes as f64);
+    }
+    values.put(Metric::FarmOldestWaiting, &[], farm.oldest_waiting_s);
+    for worker in &farm.workers {
+        let own = ("worker", worker.name.as_str());
+        values.put(Metric::FarmWorkerScenes, &[own], worker.held as f64);
+        for (outcome, count) in [
+            ("done", worker.done),
+            ("failed", worker.failed),
+            ("returned", worker.returned),
+            ("silent", worker.silent),
+        ] {
+            values.put(Metric::FarmWorkerAttempts, &[own, ("outcome", outcome)], count as f64);
+        }
+        if worker.held > 0 {
+            values.put(Metric::FarmHeartbeatAge, &[own], worker.seen_s);
+        }
+    }
+    if let Some(log) = &farm.log {
+        values.put(Metric::FarmLogRecords, &[], log.records as f64);
+        values.put(Metric::FarmLogReadRecords, &[], log.read_records as f64);
+        values.put(Metric::FarmLogReadTime, &[], log.read_s);
+    }
 }
 
 fn disk(values: &mut MetricValues, disk: Option<crate::view::Disk>) {

@@ -1,7 +1,7 @@
 //! Scenes of a batch go through the workers of a farm, whatever happens to them and to the server.
 
 #[path = "../../../../tests/support/nats_server.rs"]
-mod nats_server;
+pub mod nats_server;
 
 use crate::common::*;
 use nats_server::NatsServer;

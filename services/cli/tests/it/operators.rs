@@ -2,12 +2,15 @@
 //! `deploy/` against a real Prometheus that scrapes a real batch.
 
 use crate::common::*;
+use crate::farm::nats_server::NatsServer;
+use segwild_farm::{FarmAccess, Job, JobEngine, JobLease, NatsEngine, Needs, WorkerOffer};
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::time::Duration;
 
 /// A manifest of the small scene under several names.
 fn manifest(dir: &Path, steps: u32, names: &[&str], more: &str) -> String {
@@ -383,6 +386,41 @@ fn names_in(expression: &str) -> BTreeSet<&str> {
     expression.split(word).filter(|w| w.starts_with("segwild_")).collect()
 }
 
+/// A farm of which a worker holds one scene and one waits, and the process that shows it.
+struct ShownFarm {
+    address: SocketAddr,
+    engine: NatsEngine,
+    lease: JobLease,
+    _monitor: Guarded,
+    _server: NatsServer,
+}
+
+impl ShownFarm {
+    /// `None` where no nats-server is installed.
+    fn start(dir: &Path) -> Option<ShownFarm> {
+        let server = NatsServer::start(dir)?;
+        let farm = server.farm("night");
+        let (at, access) = (farm.parse().expect("an address"), FarmAccess::default());
+        let engine = NatsEngine::connect(&at, &access, "test", Duration::from_secs(20)).expect("a farm");
+        for name in ["night/held", "night/waits"] {
+            engine.publish(&Job::new(name, "{}", Needs::default())).expect("it is handed in");
+        }
+        let offer = WorkerOffer::all("w", Needs::default(), 600.0);
+        let lease = engine.claim(&offer).expect("it answers").expect("a lease");
+        let monitor = Command::new(env!("CARGO_BIN_EXE_segwild"))
+            .args(["status", "--farm", &farm, "--metrics-listen", "127.0.0.1:0"])
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn();
+        let mut monitor = Guarded(monitor.expect("the program starts"));
+        let mut lines = BufReader::new(monitor.0.stderr.take().expect("a pipe")).lines();
+        let first = lines.next().expect("a line").expect("it speaks");
+        let address = first.strip_prefix("listening on http://").and_then(|address| address.parse().ok());
+        let address = address.unwrap_or_else(|| panic!("{first}"));
+        Some(ShownFarm { address, engine, lease, _monitor: monitor, _server: server })
+    }
+}
+
 #[test]
 fn a_real_prometheus_answers_every_panel_and_every_rule() {
     let name = "a_real_prometheus_answers_every_panel_and_every_rule";
@@ -407,10 +445,13 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
     let file = manifest(dir.path(), 1500, &["one", "two"], "");
     // Prometheus waits for the batch, not the other way round: on a fast machine its start takes as long as the batch.
     let (prometheus, target) = free_ports();
+    let farm = ShownFarm::start(&dir.path().join("queue"));
+    let targets: Vec<String> =
+        [target].into_iter().chain(farm.as_ref().map(|farm| farm.address)).map(|a| a.to_string()).collect();
     // The rules as they are shipped, looked at so often that the shortest stage is seen.
     let config = std::fs::read_to_string(deploy("prometheus/prometheus.yml"))
         .expect("it is there")
-        .replace("segwild:9464", &target.to_string())
+        .replace("segwild:9464", &targets.join("\", \""))
         .replace("alerts.yml", &show(&deploy("prometheus/alerts.yml").canonicalize().expect("it is there")))
         .replace("scrape_interval: 5s", "scrape_interval: 100ms")
         .replace("evaluation_interval: 15s", "evaluation_interval: 200ms");
@@ -444,6 +485,18 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
     until("its first look", || {
         ask("up")["data"]["result"].as_array().filter(|r| !r.is_empty()).map(Vec::len)
     });
+    // What was there at any time: at the end nothing is running any more.
+    let mut scraped = BTreeSet::new();
+    if let Some(farm) = &farm {
+        until("the farm in Prometheus", || {
+            let seen = ask("segwild_farm_heartbeat_age_seconds{worker=\"w\"}");
+            seen["data"]["result"].as_array().filter(|r| !r.is_empty()).map(Vec::len)
+        });
+        let body = get(farm.address, "/metrics").expect("it answers");
+        assert!(body.contains("segwild_farm_queue_depth{accelerator=\"any\"} 1\n"), "{body}");
+        scraped.extend(body.lines().flat_map(names_in).map(str::to_owned));
+        farm.engine.complete(&farm.lease, "{}").expect("it is held");
+    }
     let mut child = Guarded(
         Command::new(env!("CARGO_BIN_EXE_segwild"))
             .args(["batch", &file, "--out", &show(&batch), "--metrics-listen", &target.to_string()])
@@ -456,8 +509,6 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
     let first = lines.next().expect("a line").expect("it speaks");
     assert_eq!(first, format!("listening on http://{target}"));
     let speaks = std::thread::spawn(move || lines.map_while(Result::ok).collect::<Vec<_>>().join("\n"));
-    // What was there at any time: at the end nothing is running any more.
-    let mut scraped = BTreeSet::new();
     let code = until("the end of the batch", || {
         if let Some(body) = get(target, "/metrics").filter(|t| t.contains("segwild_scenes")) {
             scraped.extend(body.lines().flat_map(names_in).map(str::to_owned));
@@ -475,9 +526,13 @@ fn a_real_prometheus_answers_every_panel_and_every_rule() {
         assert!(!series.is_empty(), "panel `{title}` shows nothing: {expression}");
     }
     let rules = json(get(prometheus, "/api/v1/rules").expect("it answers").as_bytes());
-    let rules = rules["data"]["groups"][0]["rules"].as_array().expect("rules").clone();
-    assert!(rules.len() >= 5, "{rules:?}");
-    for rule in &rules {
+    let groups = rules["data"]["groups"].as_array().expect("groups");
+    // Without a queue there is no farm whose metrics could be there.
+    let shown = groups.iter().filter(|group| farm.is_some() || group["name"] != "segwild-farm");
+    let rules: Vec<&Value> =
+        shown.flat_map(|group| group["rules"].as_array().expect("rules").iter()).collect();
+    assert!(rules.len() >= if farm.is_some() { 12 } else { 8 }, "{rules:?}");
+    for rule in rules {
         assert_eq!(rule["health"], "ok", "{rule}");
         let expression = rule["query"].as_str().expect("an expression");
         for name in names_in(expression) {

@@ -38,7 +38,7 @@ pub use self::record::FarmKey;
 use self::record::{LogRecord, LogRecordError};
 use self::server::{Appended, LogServer, REQUEST_TIMEOUT, RequestError, persist};
 use crate::artefacts::{ArtefactError, JetStreamArtefacts, StoreAddressError};
-use crate::engine::{ChangeKind, EngineError, JobChange};
+use crate::engine::{ChangeKind, EngineError, FarmLogState, JobChange};
 use crate::log::TransitionLog;
 use crate::pending::Pending;
 use crate::table::{Decision, JobTable};
@@ -82,6 +82,8 @@ struct Known {
     jumped: Vec<f64>,
     /// The server did not answer for so many seconds, after that record; the log does not say so yet.
     silent: Option<(f64, u64)>,
+    /// How long the log was, and what reading it has cost.
+    log: FarmLogState,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -193,6 +195,16 @@ impl NatsEngine {
 
     /// Applies what was appended since; stops right after the record named `until`.
     fn read_on(&self, known: &mut Known, until: Option<&str>) -> Result<ReadOn, EngineError> {
+        let (began, before) = (Instant::now(), known.log.read_records);
+        let read = self.read_records(known, until);
+        // To find nothing new costs a request, and is no reading.
+        if known.log.read_records > before {
+            known.log.read_s += began.elapsed().as_secs_f64();
+        }
+        read
+    }
+
+    fn read_records(&self, known: &mut Known, until: Option<&str>) -> Result<ReadOn, EngineError> {
         loop {
             if !self.is_still_there(known)? {
                 self.start_over(known)?;
@@ -215,6 +227,7 @@ impl NatsEngine {
                     }
                 };
                 (known.tail, known.tail_id) = (next, id);
+                known.log.read_records += 1;
                 if until == Some(known.tail_id.as_str()) {
                     return Ok(ReadOn::Met { stored: record.time, applied });
                 }
@@ -222,6 +235,7 @@ impl NatsEngine {
             // Nothing follows: because that is the end, or because somebody compacted the log meanwhile.
             let extent = self.ask(self.server.clone().extent())?;
             if extent.last == known.tail {
+                known.log.records = extent.count;
                 return Ok(ReadOn::End);
             }
             if extent.last > known.tail && extent.first <= known.tail + 1 {
@@ -411,7 +425,7 @@ impl Known {
 
     /// What remains when the log is another one.
     fn forgotten(&self) -> Known {
-        Known { clock: self.clock, jumped: self.jumped.clone(), ..Known::default() }
+        Known { clock: self.clock, jumped: self.jumped.clone(), log: self.log, ..Known::default() }
     }
 }
 
@@ -451,6 +465,10 @@ impl TransitionLog for NatsEngine {
         let mut known = self.lock();
         self.read_on(&mut known, None)?;
         Ok(std::mem::take(&mut known.jumped))
+    }
+
+    fn extent_read(&self) -> Option<FarmLogState> {
+        Some(self.lock().log)
     }
 }
 

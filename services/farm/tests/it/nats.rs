@@ -139,6 +139,14 @@ fn a_log_is_compacted_and_a_new_machine_reads_the_same_jobs() {
     assert_eq!(engine_at(&server, "f").jobs().unwrap(), engine.jobs().unwrap(), "one that starts");
     assert_eq!(watcher.jobs().unwrap(), engine.jobs().unwrap(), "one that had stopped to read before");
     assert_eq!(engine_at(&server, "f").watch(0, 100).unwrap(), engine.watch(0, 100).unwrap());
+    // What operators see of it: who did what goes with the snapshot, and the log is as short as it was left.
+    let reader = engine_at(&server, "f");
+    let (tallies, log) = (reader.tallies().unwrap(), reader.log_state().expect("a log"));
+    assert_eq!(tallies, engine.tallies().unwrap());
+    assert_eq!((tallies["w"].done, tallies["w"].failed), (1, 0));
+    assert!(log.records < 100 && log.read_records < 100 && log.read_s > 0.0, "{log:?}");
+    let writer = engine.log_state().expect("a log");
+    assert!(writer.read_records >= 2100 && writer.records < 100, "{writer:?}");
     // The fence goes on.
     let later = engine_at(&server, "f");
     assert_eq!(later.complete(&held, "done").unwrap(), Completed::Now);

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use segwild_farm::{BatchFolder, ChangeKind, Job, JobEngine, JobState, JobStatus, Needs, SceneJob, turns};
 use serde::{Deserialize, Serialize};
 
-use super::farm::FarmTarget;
+use super::farm::{FarmTarget, FarmView};
 use super::folder::{ViewError, name_of};
 use super::scene::{SceneState, SceneView};
 use super::why;
@@ -37,6 +37,9 @@ pub struct BatchView {
     pub retries: u64,
     /// The disk under the folder.
     pub disk: Option<Disk>,
+    /// What only a farm has.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub farm: Option<FarmView>,
 }
 
 impl BatchView {
@@ -82,6 +85,7 @@ impl BatchView {
             retries: engine.count(ChangeKind::Retried)?,
             disk: Disk::of(&whole),
             folder: whole,
+            farm: None,
         })
     }
 
@@ -103,6 +107,7 @@ impl BatchView {
             scene.worker.clone_from(&job.worker);
         }
         why::farm_scenes(&mut scenes, &waits);
+        let own = FarmView::of(farm.engine.as_ref(), &jobs, now)?;
         Ok(BatchView {
             name: farm.name.clone(),
             folder: PathBuf::new(),
@@ -115,6 +120,7 @@ impl BatchView {
             leases_expired: farm.engine.count(ChangeKind::Expired)?,
             retries: farm.engine.count(ChangeKind::Retried)?,
             disk: None,
+            farm: Some(own),
         })
     }
 

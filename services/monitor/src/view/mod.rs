@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 
 pub use crate::disk::Disk;
 pub use batch::BatchView;
-pub use farm::FarmTarget;
+pub use farm::{FarmTarget, FarmView, FarmWorkerView};
 pub use folder::ViewError;
 pub use run::{LoggedEvent, MailboxView, PhotoFailure, RunState, RunView, STALE_S, SelectionView};
 pub use runs::Runs;

@@ -1,10 +1,14 @@
 //! The metrics' names, their page, and their values for a batch.
 
 use crate::common::*;
+use segwild_farm::{EmbeddedEngine, ErrorClass, Job, JobEngine, Needs, WorkerOffer};
+use segwild_monitor::MonitorTarget;
 use segwild_monitor::metrics::{Metric, MetricKind, render};
+use segwild_monitor::view::FarmTarget;
 use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::Path;
+use std::sync::Arc;
 
 #[test]
 fn metric_names_follow_the_rules() {
@@ -62,6 +66,53 @@ fn the_metrics_text_holds_the_view() {
     assert!(render(Some(&view(&path)), true).contains("{scene=\"liberty\",actor=\"masks\"}"));
     promtool_agrees(&text);
     assert!(render(None, false).contains("segwild_build_info"));
+}
+
+#[test]
+fn a_farm_shows_its_queue_and_what_each_worker_did() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let engine = Arc::new(EmbeddedEngine::open(dir.path().join("jobs.sqlite")).expect("an engine"));
+    let target = MonitorTarget::Farm(FarmTarget { name: "farm".into(), engine: engine.clone() });
+    let shown = || render(Some(&target.view().expect("a view")), false);
+    let text = shown();
+    assert!(
+        text.contains("segwild_farm_queue_depth{accelerator=\"any\"} 0\n"),
+        "it is there when it is 0: {text}"
+    );
+    assert!(!text.contains("worker="), "{text}");
+    for name in ["a", "b", "c", "d"] {
+        engine.publish(&Job::new(name, "{}", Needs::default())).expect("it is published");
+    }
+    let wanted = Job { accelerator: Some("h100".into()), ..Job::new("e", "{}", Needs::default()) };
+    engine.publish(&wanted).expect("it is published");
+    let claim = |worker: &str| {
+        engine.claim(&WorkerOffer::all(worker, Needs::default(), 60.0)).expect("it works").expect("a lease")
+    };
+    engine.complete(&claim("first"), "done").expect("it is held");
+    engine.fail(&claim("first"), ErrorClass::Fatal, "bad input").expect("it is held");
+    engine.fail(&claim("second"), ErrorClass::Stopped, "stopped").expect("it is held");
+    claim("second");
+    let text = shown();
+    for line in [
+        "segwild_farm_queue_depth{accelerator=\"any\"} 1",
+        "segwild_farm_queue_depth{accelerator=\"h100\"} 1",
+        "segwild_farm_worker_scenes{worker=\"first\"} 0",
+        "segwild_farm_worker_scenes{worker=\"second\"} 1",
+        "segwild_farm_worker_attempts_total{worker=\"first\",outcome=\"done\"} 1",
+        "segwild_farm_worker_attempts_total{worker=\"first\",outcome=\"failed\"} 1",
+        "segwild_farm_worker_attempts_total{worker=\"second\",outcome=\"returned\"} 1",
+        "segwild_farm_worker_attempts_total{worker=\"second\",outcome=\"done\"} 0",
+        "segwild_dead_letters 1",
+    ] {
+        assert!(text.lines().any(|l| l == line), "`{line}` is missing:\n{text}");
+    }
+    let age = |worker: &str| {
+        let start = format!("segwild_farm_heartbeat_age_seconds{{worker=\"{worker}\"}} ");
+        text.lines().find_map(|line| line.strip_prefix(&*start)?.parse::<f64>().ok())
+    };
+    assert_eq!(age("first"), None, "who holds nothing gives no sign");
+    assert!(age("second").is_some_and(|age| (0.0..60.0).contains(&age)), "{text}");
+    promtool_agrees(&text);
 }
 
 /// `promtool check metrics` has nothing to say about names, units and help texts.

@@ -285,6 +285,8 @@ fn batch(batch: BatchView) -> v1::BatchView {
         leases_expired,
         retries,
         disk: space,
+        // The studio shows what runs on this machine: no farm.
+        farm: _,
     } = batch;
     v1::BatchView {
         name,
