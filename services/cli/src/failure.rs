@@ -7,7 +7,7 @@ use segwild_bench::point::PointError;
 use segwild_eval::protocols::ProtocolError;
 use segwild_eval::record::RecordError;
 use segwild_eval::trial::TrialError;
-use segwild_farm::{ArtefactError, BatchError, EngineError, FarmBatchError, WorkerError};
+use segwild_farm::{ArtefactError, BatchError, EngineError, FarmBatchError, FarmSweepError, WorkerError};
 use segwild_flow::files::name::shown;
 use segwild_flow::{LedgerError, SystemRefusal, shortage};
 use segwild_gpu::GpuError;
@@ -178,6 +178,17 @@ impl From<EngineError> for Failure {
         // A farm that does not answer is as a stage that failed: the same command continues.
         let server = matches!(error, EngineError::Server { .. });
         Failure { message: error.to_string(), code: if server { exit::INCOMPLETE } else { exit::FOLDER } }
+    }
+}
+
+impl From<FarmSweepError> for Failure {
+    fn from(error: FarmSweepError) -> Failure {
+        match error {
+            FarmSweepError::Engine(error) => error.into(),
+            FarmSweepError::Artefact(error) => error.into(),
+            FarmSweepError::Empty => Failure::usage(error.to_string()),
+            FarmSweepError::Job { .. } => Failure { message: error.to_string(), code: exit::INPUT },
+        }
     }
 }
 

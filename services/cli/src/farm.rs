@@ -50,7 +50,15 @@ pub struct ReachedFarm {
 
 /// Connects to the farm of the flags; `None` where there is none. `writer` is who appends to its log, for people.
 pub fn connect(matches: &ArgMatches, writer: &str) -> Result<Option<Arc<NatsEngine>>, Failure> {
-    let Some(address) = matches.get_one::<FarmAddress>("farm") else { return Ok(None) };
+    matches.get_one::<FarmAddress>("farm").map(|address| connect_to(address, matches, writer)).transpose()
+}
+
+/// Connects to a farm, as who the flags say.
+pub fn connect_to(
+    address: &FarmAddress,
+    matches: &ArgMatches,
+    writer: &str,
+) -> Result<Arc<NatsEngine>, Failure> {
     let key = path_of(matches, "farm-key").map(|file| {
         let secret = std::fs::read_to_string(&file)
             .map_err(|e| Failure::usage(format!("--farm-key: cannot read {}: {e}", file.display())))?;
@@ -64,7 +72,7 @@ pub fn connect(matches: &ArgMatches, writer: &str) -> Result<Option<Arc<NatsEngi
         certificates: path_of(matches, "certificates"),
         key: key.transpose()?,
     };
-    Ok(Some(Arc::new(NatsEngine::connect(address, &access, writer, USUAL_PATIENCE)?)))
+    Ok(Arc::new(NatsEngine::connect(address, &access, writer, USUAL_PATIENCE)?))
 }
 
 /// Reaches the farm of the flags and its artefacts; `None` where there is none.

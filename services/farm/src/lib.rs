@@ -46,15 +46,16 @@ mod manifest;
 mod nats;
 mod pending;
 mod submit;
+mod sweep;
 mod table;
 mod transition;
 mod turn;
 mod worker;
 
 pub use artefacts::{
-    ArtefactDigest, ArtefactError, ArtefactSession, ArtefactStore, DigestError, FetchedFolderError,
-    FolderEntry, FolderLimits, FolderManifest, FolderManifestError, JetStreamArtefacts, ObjectArtefacts,
-    StoreAddressError, UnfitFolderError,
+    ArtefactCount, ArtefactDigest, ArtefactError, ArtefactSession, ArtefactStore, DigestError,
+    FetchedFolderError, FolderEntry, FolderLimits, FolderManifest, FolderManifestError, JetStreamArtefacts,
+    LEAST_AGE, ObjectArtefacts, StoreAddressError, StoredArtefact, SweptArtefacts, UnfitFolderError,
 };
 pub use batch::{BatchError, BatchFolder, BatchOptions, BatchRecord, BatchSummary};
 pub use clock::{JobClock, SimulatedClock, SystemClock};
@@ -71,6 +72,7 @@ pub use manifest::{
 };
 pub use nats::{FarmAccess, FarmAddress, FarmAddressError, FarmKey, NatsEngine, USUAL_PATIENCE, transitions};
 pub use submit::{FarmBatch, FarmBatchError};
+pub use sweep::{FarmSweep, FarmSweepError};
 pub use table::{Decision, JobTable};
 pub use transition::Transition;
 pub use turn::{JobTurn, turns};

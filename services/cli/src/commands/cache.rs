@@ -3,18 +3,22 @@
 use crate::args::{self, examples, flag, json, number, path_of};
 use crate::exit;
 use crate::failure::Failure;
+use crate::farm::{connect_to, farm_args, reach};
 use crate::output::{print_json, print_line};
-use clap::{ArgMatches, Command, value_parser};
+use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
+use segwild_farm::{FarmAddress, FarmSweep, JobEngine, LEAST_AGE, NatsEngine, StoredArtefact};
 use segwild_pipeline::{
     DamagedFile, RunError, RunFolder, cache_gc, cache_list, cache_verify, verify_selections,
 };
+use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// The command's arguments.
 pub fn command() -> Command {
     let limit = number("limit", "0", "Remove the oldest first, and only until the cache holds this many MiB")
         .value_parser(value_parser!(u64));
     Command::new("cache")
-        .about("Look after a run's cache of per-photo results")
+        .about("Look after a run's cache of per-photo results, and a farm's artefacts")
         .subcommand_required(true)
         .after_help(examples("segwild cache ls runs/trevi", "segwild cache gc runs/trevi --dry-run"))
         .subcommand(
@@ -39,18 +43,52 @@ pub fn command() -> Command {
                 .about("Remove what other settings than the run's present ones made")
                 .arg(args::run())
                 .arg(limit)
-                .arg(flag("dry-run", "Remove nothing, print what would go"))
+                .arg(dry_run())
                 .arg(json())
                 .after_help(examples(
                     "segwild cache gc runs/trevi",
                     "segwild cache gc runs/trevi --limit 500 --dry-run",
                 )),
         )
+        .subcommand(farm_gc_command())
+}
+
+fn farm_gc_command() -> Command {
+    let hours = LEAST_AGE.as_secs() / 3600;
+    let command =
+        Command::new("farm-gc").about("Remove from a farm's artefacts what none of its scenes refers to");
+    farm_args(command, "Farm whose artefacts these are: nats://HOST:PORT/NAME")
+        .mut_arg("farm", |farm| farm.required(true))
+        .arg(
+            Arg::new("also")
+                .long("also")
+                .value_name("FARM")
+                .value_parser(str::parse::<FarmAddress>)
+                .action(ArgAction::Append)
+                .help("Another farm that uses the same store; what it needs stays, too"),
+        )
+        .arg(
+            number("older-than", "72", "Only what was stored so many hours ago; 24 at least")
+                .value_parser(value_parser!(u64).range(hours..=1_000_000)),
+        )
+        .arg(dry_run())
+        .arg(json())
+        .after_help(examples(
+            "segwild cache farm-gc --farm nats://queue:4222/night --dry-run",
+            "segwild cache farm-gc --farm nats://queue/night --artefacts s3://scenes --also nats://queue/day",
+        ))
+}
+
+fn dry_run() -> Arg {
+    flag("dry-run", "Remove nothing, print what would go")
 }
 
 /// Lists, verifies or sweeps a run's cache.
 pub fn cache(matches: &ArgMatches) -> Result<(), Failure> {
     let (what, matches) = matches.subcommand().expect("clap requires one");
+    if what == "farm-gc" {
+        return farm_gc(matches);
+    }
     let folder = RunFolder::open(&path_of(matches, "run").expect("clap requires it"))?;
     let json = matches.get_flag("json");
     match what {
@@ -67,6 +105,52 @@ pub fn cache(matches: &ArgMatches) -> Result<(), Failure> {
             print_line(&format!("{} files, {}, {verb}", swept.files, size(swept.bytes)))
         }
     }
+}
+
+/// Sweeps the artefacts of a farm.
+fn farm_gc(matches: &ArgMatches) -> Result<(), Failure> {
+    let farm = reach(matches, "sweep")?.expect("clap requires --farm");
+    let also = matches.get_many::<FarmAddress>("also").into_iter().flatten();
+    let others: Vec<Arc<NatsEngine>> =
+        also.map(|address| connect_to(address, matches, "sweep")).collect::<Result<_, _>>()?;
+    let hours = *matches.get_one::<u64>("older-than").expect("it has a default");
+    let (pretend, json) = (matches.get_flag("dry-run"), matches.get_flag("json"));
+    let sweep = FarmSweep {
+        farms: [&farm.engine].into_iter().chain(&others).map(|farm| &**farm as &dyn JobEngine).collect(),
+        artefacts: &farm.artefacts,
+        older_than: Duration::from_secs(hours * 3600),
+        dry_run: pretend,
+    };
+    let mut report = Ok(());
+    let swept = sweep.sweep(&mut |artefact| {
+        // Nobody listening is no reason to stop.
+        if report.is_ok() && json {
+            report = print_json(artefact);
+        } else if report.is_ok() && pretend {
+            report = print_line(&in_words(artefact));
+        }
+    })?;
+    report?;
+    if json {
+        return print_json(&serde_json::json!({ "dry_run": pretend, "summary": swept }));
+    }
+    if swept.missing > 0 {
+        print_line(&format!("{} folders that scenes refer to are not in the store", swept.missing))?;
+    }
+    print_line(&format!(
+        "{} artefacts, {}, {}; {} are in use, {} are younger than {hours} h",
+        swept.removed.artefacts,
+        size(swept.removed.bytes),
+        if pretend { "would be removed" } else { "removed" },
+        swept.used.artefacts,
+        swept.young.artefacts
+    ))
+}
+
+fn in_words(artefact: &StoredArtefact) -> String {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_secs());
+    let hours = now.saturating_sub(artefact.since) / 3600;
+    format!("{}  {:>10}  stored {hours} h ago", artefact.digest, size(artefact.bytes))
 }
 
 fn list(folder: &RunFolder, json: bool) -> Result<(), Failure> {

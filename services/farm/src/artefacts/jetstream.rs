@@ -6,8 +6,12 @@ use std::pin::Pin;
 use std::task::{Context as TaskContext, Poll, ready};
 use std::time::Duration;
 
-use async_nats::jetstream::object_store::{Config, GetErrorKind, InfoErrorKind, ObjectMetadata, ObjectStore};
+use async_nats::jetstream::object_store::{
+    Config, DeleteErrorKind, GetErrorKind, InfoErrorKind, ObjectInfo, ObjectMetadata, ObjectStore,
+    UpdateMetadata,
+};
 use async_nats::jetstream::{self, stream::StorageType};
+use futures_util::StreamExt;
 use tokio::io::{AsyncRead, AsyncReadExt, ReadBuf};
 use tokio::runtime::Handle;
 use tokio::sync::mpsc;
@@ -15,15 +19,20 @@ use tokio::sync::mpsc;
 use super::calls::StoreCalls;
 use super::digest::ArtefactDigest;
 use super::error::ArtefactError;
-use super::store::ArtefactStore;
+use super::store::{ArtefactStore, StoredArtefact, seconds_now};
 use super::transfer::{Outgoing, receive};
 
 /// Bytes of a message.
 const PIECE: usize = 128 << 10;
 /// Pieces that wait to be sent or written.
 const AHEAD: usize = 16;
+/// Artefacts that are listed before they are looked at.
+const LISTED_AHEAD: usize = 1024;
 /// A server that delivers nothing for so long is given up.
 const SILENCE: Duration = Duration::from_secs(60);
+/// How the description of an object starts that was renewed: the time follows, in seconds since 1970. The client keeps the
+/// object's own time when it changes a description.
+const RENEWED: &str = "renewed at ";
 
 /// A store of artefacts in an object store bucket of JetStream.
 pub struct JetStreamArtefacts {
@@ -69,6 +78,19 @@ impl JetStreamArtefacts {
         Ok(Self { name, bucket, calls })
     }
 
+    /// Renews an artefact without its bytes; `false` where that fails, or it went meanwhile.
+    fn renew(&self, digest: &ArtefactDigest) -> bool {
+        let (bucket, name) = (self.bucket.clone(), digest.to_string());
+        let description = Some(format!("{RENEWED}{}", seconds_now()));
+        let renewed = self.calls.wait(async move {
+            let key = name.clone();
+            bucket
+                .update_metadata(key, UpdateMetadata { name, description, ..UpdateMetadata::default() })
+                .await
+        });
+        matches!(renewed, Ok(Ok(info)) if !info.deleted)
+    }
+
     fn failed(&self, action: &str, digest: &ArtefactDigest) -> impl Fn(Failure) -> ArtefactError + use<> {
         let (store, action) = (self.name.clone(), format!("{action} the artefact {digest}"));
         move |source| ArtefactError::Store { store: store.clone(), action: action.clone(), source }
@@ -80,19 +102,65 @@ impl ArtefactStore for JetStreamArtefacts {
         self.name.clone()
     }
 
-    fn has(&self, digest: &ArtefactDigest) -> Result<bool, ArtefactError> {
+    fn find(&self, digest: &ArtefactDigest) -> Result<Option<StoredArtefact>, ArtefactError> {
         let (bucket, key) = (self.bucket.clone(), digest.to_string());
         let failed = self.failed("find", digest);
         let found = self.calls.wait(async move { bucket.info(key).await });
         match found.map_err(|e| failed(e.into()))? {
-            Ok(info) => Ok(!info.deleted),
-            Err(error) if error.kind() == InfoErrorKind::NotFound => Ok(false),
+            Ok(info) => Ok(listed(&info)),
+            Err(error) if error.kind() == InfoErrorKind::NotFound => Ok(None),
+            Err(error) => Err(failed(error.into())),
+        }
+    }
+
+    fn list(&self, show: &mut dyn FnMut(StoredArtefact)) -> Result<(), ArtefactError> {
+        let bucket = self.bucket.clone();
+        let (send, mut found) = mpsc::channel::<Result<ObjectInfo, Failure>>(LISTED_AHEAD);
+        // Ends when all is listed, or nobody takes more.
+        let _under_way = self.calls.start(async move {
+            let mut list = match bucket.list().await {
+                Ok(list) => list,
+                // Where nobody listens, nobody wants to know.
+                Err(error) => return drop(send.send(Err(error.into())).await),
+            };
+            loop {
+                let next = match tokio::time::timeout(SILENCE, list.next()).await {
+                    Ok(Some(next)) => next.map_err(Failure::from),
+                    Ok(None) => break,
+                    Err(elapsed) => Err(elapsed.into()),
+                };
+                let ends = next.is_err();
+                if send.send(next).await.is_err() || ends {
+                    break;
+                }
+            }
+        });
+        while let Some(next) = found.blocking_recv() {
+            let info = next.map_err(|source| ArtefactError::Store {
+                store: self.name.clone(),
+                action: "list the artefacts".into(),
+                source,
+            })?;
+            if let Some(artefact) = listed(&info) {
+                show(artefact);
+            }
+        }
+        Ok(())
+    }
+
+    fn remove(&self, digest: &ArtefactDigest) -> Result<(), ArtefactError> {
+        let (bucket, key) = (self.bucket.clone(), digest.to_string());
+        let failed = self.failed("remove", digest);
+        let removed = self.calls.wait(async move { bucket.delete(key).await });
+        match removed.map_err(|e| failed(e.into()))? {
+            Ok(()) => Ok(()),
+            Err(error) if matches!(error.kind(), DeleteErrorKind::NotFound) => Ok(()),
             Err(error) => Err(failed(error.into())),
         }
     }
 
     fn put(&self, digest: &ArtefactDigest, file: &Path) -> Result<(), ArtefactError> {
-        if self.has(digest)? {
+        if self.find(digest)?.is_some_and(|there| !there.is_old() || self.renew(digest)) {
             return Ok(());
         }
         let failed = self.failed("store", digest);
@@ -157,6 +225,14 @@ impl ArtefactStore for JetStreamArtefacts {
         });
         receive(&self.name, digest, to, || pieces.blocking_recv())
     }
+}
+
+/// An object as an artefact; `None` for what is none of ours, or was removed.
+fn listed(info: &ObjectInfo) -> Option<StoredArtefact> {
+    let digest = info.name.parse().ok().filter(|_| !info.deleted)?;
+    let stored = info.modified.and_then(|time| u64::try_from(time.unix_timestamp()).ok());
+    let renewed = info.description.as_deref().and_then(|text| text.strip_prefix(RENEWED)?.parse().ok());
+    Some(StoredArtefact { digest, bytes: info.size as u64, since: stored.max(renewed).unwrap_or_default() })
 }
 
 /// The next piece of a file; the last one only if the whole is the artefact.

@@ -1,12 +1,14 @@
 //! Artefacts between machines: files by the BLAKE3 of their bytes, in a store that every machine reaches.
 //!
-//! - [`ArtefactStore`]: has, put, get. [`ObjectArtefacts`] is a shared folder or S3; [`JetStreamArtefacts`] a bucket of the
+//! - [`ArtefactStore`]: has, put, get, list, remove. [`ObjectArtefacts`] is a shared folder or S3; [`JetStreamArtefacts`] a bucket of the
 //!   NATS server that a small farm has anyway. Whatever a store delivers is verified before it takes a name.
 //! - [`FolderManifest`]: a folder as a list of files and digests; it is an artefact, too, so a folder has one digest.
 //! - [`ArtefactSession`]: stores and fetches folders and runs. A run is copied while its process writes it, and continues on
 //!   another machine to the same bytes.
 //!
-//! What it is not: it knows no job and no lease, and removes nothing from a store.
+//! - [`ArtefactSession::sweep`] removes what is old and belongs to none of the folders that its caller names.
+//!
+//! What it is not: it knows no job and no lease.
 //!
 //! ```
 //! use segwild_farm::{ArtefactSession, ObjectArtefacts};
@@ -35,6 +37,7 @@ mod parallel;
 mod run;
 mod session;
 mod store;
+mod sweep;
 mod transfer;
 mod walk;
 
@@ -44,4 +47,5 @@ pub use jetstream::JetStreamArtefacts;
 pub use manifest::{FolderEntry, FolderLimits, FolderManifest, FolderManifestError};
 pub use object::ObjectArtefacts;
 pub use session::ArtefactSession;
-pub use store::ArtefactStore;
+pub use store::{ArtefactStore, StoredArtefact};
+pub use sweep::{ArtefactCount, LEAST_AGE, SweptArtefacts};

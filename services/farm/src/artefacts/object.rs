@@ -1,20 +1,21 @@
 //! Artefacts in a shared folder or on S3.
 
-use std::path::Path as FilePath;
+use std::fs::File;
+use std::path::{Path as FilePath, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use futures_util::StreamExt;
 use object_store::aws::AmazonS3Builder;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path;
-use object_store::{MultipartUpload, ObjectStore, ObjectStoreExt, PutMode, PutPayload};
+use object_store::{MultipartUpload, ObjectMeta, ObjectStore, ObjectStoreExt, PutMode, PutPayload};
 
 use super::calls::StoreCalls;
 use super::digest::ArtefactDigest;
 use super::error::{ArtefactError, StoreAddressError};
 use super::http::HyperConnector;
-use super::store::ArtefactStore;
+use super::store::{ArtefactStore, StoredArtefact};
 use super::transfer::{Outgoing, receive};
 use crate::pending::ShutDown;
 
@@ -24,6 +25,8 @@ const PART: usize = 6 << 20;
 const PARTS: u64 = 9000;
 /// Pieces that are received before they are written.
 const AHEAD: usize = 8;
+/// Artefacts that are listed before they are looked at.
+const LISTED_AHEAD: usize = 1024;
 /// A store that delivers nothing for so long is given up.
 const SILENCE: Duration = Duration::from_secs(60);
 /// The environment's names of an endpoint, as S3's clients know them; the first that is set holds.
@@ -39,6 +42,8 @@ pub struct ObjectArtefacts {
     name: String,
     store: Arc<dyn ObjectStore>,
     prefix: Path,
+    /// The shared folder, where it is one.
+    folder: Option<PathBuf>,
     calls: StoreCalls,
 }
 
@@ -51,7 +56,9 @@ impl ObjectArtefacts {
     /// When the address or the environment makes no sense, or the folder cannot be made.
     pub fn open(address: &str) -> Result<Self, ArtefactError> {
         let wrong = |reason| ArtefactError::Address { address: address.to_owned(), reason };
-        let (store, prefix): (Arc<dyn ObjectStore>, Path) = match address.split_once("://") {
+        let (store, prefix, folder): (Arc<dyn ObjectStore>, Path, Option<PathBuf>) = match address
+            .split_once("://")
+        {
             Some(("s3", rest)) => {
                 let (bucket, prefix) = rest.split_once('/').unwrap_or((rest, ""));
                 if bucket.is_empty() || bucket.contains(['@', '?', '#']) {
@@ -59,17 +66,17 @@ impl ObjectArtefacts {
                 }
                 let prefix = Path::parse(prefix).map_err(|e| wrong(StoreAddressError::Client(e.into())))?;
                 let bucket = bucket_of(bucket).map_err(|e| wrong(StoreAddressError::Client(e.into())))?;
-                (Arc::new(bucket), prefix)
+                (Arc::new(bucket), prefix, None)
             }
             Some(("file", folder)) if folder.starts_with('/') => {
-                (folder_at(folder, &wrong)?, Path::default())
+                (folder_at(folder, &wrong)?, Path::default(), Some(folder.into()))
             }
             Some(_) => return Err(wrong(StoreAddressError::OtherKind)),
             None if address.is_empty() => return Err(wrong(StoreAddressError::Empty)),
-            None => (folder_at(address, &wrong)?, Path::default()),
+            None => (folder_at(address, &wrong)?, Path::default(), Some(address.into())),
         };
         let calls = StoreCalls::own().map_err(|e| wrong(StoreAddressError::Thread(e)))?;
-        Ok(Self { name: address.to_owned(), store, prefix, calls })
+        Ok(Self { name: address.to_owned(), store, prefix, folder, calls })
     }
 
     fn key(&self, digest: &ArtefactDigest) -> Path {
@@ -90,12 +97,28 @@ impl ObjectArtefacts {
         }
     }
 
-    /// In one piece, and only if it is not there.
-    fn put_small(&self, digest: &ArtefactDigest, bytes: Vec<u8>) -> Result<(), ArtefactError> {
+    /// An artefact as it is listed; `None` for what is none of ours.
+    fn listed(&self, meta: &ObjectMeta) -> Option<StoredArtefact> {
+        let digest: ArtefactDigest = meta.location.filename()?.parse().ok()?;
+        let since: u64 = meta.last_modified.timestamp().try_into().unwrap_or_default();
+        (self.key(&digest) == meta.location).then_some(StoredArtefact { digest, bytes: meta.size, since })
+    }
+
+    /// Renews an artefact without its bytes; whether that was possible. S3 has no such call: there it is stored again.
+    fn touch(&self, digest: &ArtefactDigest) -> bool {
+        let Some(folder) = &self.folder else { return false };
+        let hex = digest.to_string();
+        let path = folder.join(&hex[..2]).join(&hex);
+        // Another user's file has a time that only that user sets. One that went meanwhile has none.
+        let touched = File::open(&path).and_then(|file| file.set_modified(SystemTime::now()));
+        touched.is_ok() && path.is_file()
+    }
+
+    /// In one piece; with `PutMode::Create`, only if it is not there.
+    fn put_small(&self, digest: &ArtefactDigest, bytes: Vec<u8>, mode: PutMode) -> Result<(), ArtefactError> {
         let (store, key) = (self.store.clone(), self.key(digest));
-        let put = self
-            .calls
-            .wait(async move { store.put_opts(&key, PutPayload::from(bytes), PutMode::Create.into()).await });
+        let put =
+            self.calls.wait(async move { store.put_opts(&key, PutPayload::from(bytes), mode.into()).await });
         match put.map_err(self.failed::<ShutDown>("store", digest))? {
             Ok(_) | Err(object_store::Error::AlreadyExists { .. }) => Ok(()),
             Err(error) => Err(self.failed("store", digest)(error)),
@@ -181,26 +204,70 @@ impl ArtefactStore for ObjectArtefacts {
         self.name.clone()
     }
 
-    fn has(&self, digest: &ArtefactDigest) -> Result<bool, ArtefactError> {
+    fn find(&self, digest: &ArtefactDigest) -> Result<Option<StoredArtefact>, ArtefactError> {
         let (store, key) = (self.store.clone(), self.key(digest));
         let found = self.calls.wait(async move { store.head(&key).await });
         match found.map_err(self.failed::<ShutDown>("find", digest))? {
-            Ok(_) => Ok(true),
-            Err(object_store::Error::NotFound { .. }) => Ok(false),
+            Ok(meta) => Ok(self.listed(&meta)),
+            Err(object_store::Error::NotFound { .. }) => Ok(None),
             Err(error) => Err(self.failed("find", digest)(error)),
         }
     }
 
+    fn list(&self, show: &mut dyn FnMut(StoredArtefact)) -> Result<(), ArtefactError> {
+        let (store, prefix) = (self.store.clone(), self.prefix.clone());
+        let (send, mut found) = tokio::sync::mpsc::channel(LISTED_AHEAD);
+        // Ends when all is listed, or nobody takes more.
+        let _under_way = self.calls.start(async move {
+            let mut stream = store.list(Some(&prefix));
+            loop {
+                let next: Result<ObjectMeta, Box<dyn std::error::Error + Send + Sync>> =
+                    match tokio::time::timeout(SILENCE, stream.next()).await {
+                        Ok(Some(next)) => next.map_err(Into::into),
+                        Ok(None) => break,
+                        Err(elapsed) => Err(elapsed.into()),
+                    };
+                let ends = next.is_err();
+                if send.send(next).await.is_err() || ends {
+                    break;
+                }
+            }
+        });
+        while let Some(next) = found.blocking_recv() {
+            let meta = next.map_err(|source| ArtefactError::Store {
+                store: self.name.clone(),
+                action: "list the artefacts".into(),
+                source,
+            })?;
+            if let Some(artefact) = self.listed(&meta) {
+                show(artefact);
+            }
+        }
+        Ok(())
+    }
+
+    fn remove(&self, digest: &ArtefactDigest) -> Result<(), ArtefactError> {
+        let (store, key) = (self.store.clone(), self.key(digest));
+        let removed = self.calls.wait(async move { store.delete(&key).await });
+        match removed.map_err(self.failed::<ShutDown>("remove", digest))? {
+            Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+            Err(error) => Err(self.failed("remove", digest)(error)),
+        }
+    }
+
     fn put(&self, digest: &ArtefactDigest, file: &FilePath) -> Result<(), ArtefactError> {
-        if self.has(digest)? {
+        let there = self.find(digest)?;
+        if there.is_some_and(|there| !there.is_old() || self.touch(digest)) {
             return Ok(());
         }
+        // One that is old is written over, with the same bytes.
+        let mode = if there.is_some() { PutMode::Overwrite } else { PutMode::Create };
         let mut file = Outgoing::open(digest, file)?;
         let part = PART.max(usize::try_from(file.length()? / PARTS).unwrap_or(usize::MAX));
         let first = file.piece(part)?;
         if first.len() < part {
             file.check()?;
-            return self.put_small(digest, first);
+            return self.put_small(digest, first, mode);
         }
         self.put_large(digest, file, first, part)
     }

@@ -1,6 +1,6 @@
 //! Folders to and from a store.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
@@ -20,6 +20,9 @@ const TRIES: usize = 4;
 /// A file that was written so shortly before it was read may be written again without a change of its time.
 const SETTLED: Duration = Duration::from_secs(2);
 
+/// A session stores again what it stored longer ago: a sweep of the store may have removed it. See `sweep.rs`.
+const REMEMBERED: Duration = Duration::from_secs(3600);
+
 /// A file as it was when it was hashed.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct Seen {
@@ -33,7 +36,8 @@ pub struct ArtefactSession {
     store: Arc<dyn ArtefactStore>,
     limits: FolderLimits,
     hashed: Mutex<HashMap<PathBuf, (Seen, ArtefactDigest)>>,
-    stored: Mutex<HashSet<ArtefactDigest>>,
+    /// What the store has, and since when that is known. By the wall clock: a machine that sleeps does not stop a sweep.
+    stored: Mutex<HashMap<ArtefactDigest, SystemTime>>,
 }
 
 /// Which files a folder may do without.
@@ -123,11 +127,14 @@ impl ArtefactSession {
     }
 
     pub(super) fn put(&self, digest: &ArtefactDigest, file: &Path) -> Result<(), ArtefactError> {
-        if lock(&self.stored).contains(digest) {
+        let began = SystemTime::now();
+        let known = lock(&self.stored).get(digest).copied();
+        // One that seems to lie ahead is none to trust.
+        if known.is_some_and(|at| began.duration_since(at).is_ok_and(|ago| ago < REMEMBERED)) {
             return Ok(());
         }
         self.store.put(digest, file)?;
-        lock(&self.stored).insert(*digest);
+        lock(&self.stored).insert(*digest, began);
         Ok(())
     }
 

@@ -1,9 +1,27 @@
 //! Where artefacts lie.
 
 use std::path::Path;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use serde::Serialize;
 
 use super::digest::ArtefactDigest;
 use super::error::ArtefactError;
+
+/// An artefact that has been in a store for longer is renewed when somebody stores it again: a sweep removes by age, and must
+/// not remove what somebody counts on. With what a session remembers, it is less than half of the least age (`sweep.rs`).
+const RENEWED_AFTER: Duration = Duration::from_secs(10 * 3600);
+
+/// An artefact that a store has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct StoredArtefact {
+    /// Its digest.
+    pub digest: ArtefactDigest,
+    /// Its length in bytes.
+    pub bytes: u64,
+    /// When it was stored, or renewed, in seconds since 1970.
+    pub since: u64,
+}
 
 /// Artefacts by the digest of their bytes. All calls block, and may come from any thread that runs no async task. Two may
 /// store one artefact at once: its bytes are the same.
@@ -15,9 +33,17 @@ pub trait ArtefactStore: Send + Sync {
     ///
     /// # Errors
     /// When the store cannot be reached.
-    fn has(&self, digest: &ArtefactDigest) -> Result<bool, ArtefactError>;
+    fn has(&self, digest: &ArtefactDigest) -> Result<bool, ArtefactError> {
+        Ok(self.find(digest)?.is_some())
+    }
 
-    /// Stores the bytes of a file, unless the store has them.
+    /// An artefact as the store lists it; `None` where it has none.
+    ///
+    /// # Errors
+    /// When the store cannot be reached.
+    fn find(&self, digest: &ArtefactDigest) -> Result<Option<StoredArtefact>, ArtefactError>;
+
+    /// Stores the bytes of a file, unless the store has them. One that it has had for long is renewed.
     ///
     /// # Errors
     /// When the file cannot be read or has another digest (then nothing is stored), or the store cannot be reached.
@@ -28,4 +54,33 @@ pub trait ArtefactStore: Send + Sync {
     /// # Errors
     /// When the store cannot be reached, has no such artefact, or delivers other bytes: then the file is as it was before.
     fn get(&self, digest: &ArtefactDigest, to: &Path) -> Result<(), ArtefactError>;
+
+    /// Shows every artefact, in no order. Whatever else lies in the store is left out.
+    ///
+    /// # Errors
+    /// When the store cannot be reached; some artefacts may have been shown before.
+    fn list(&self, show: &mut dyn FnMut(StoredArtefact)) -> Result<(), ArtefactError>;
+
+    /// Removes an artefact; one that is not there is no error.
+    ///
+    /// # Errors
+    /// When the store cannot be reached or refuses.
+    fn remove(&self, digest: &ArtefactDigest) -> Result<(), ArtefactError>;
+}
+
+/// The time in seconds since 1970.
+pub(super) fn seconds_now() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs())
+}
+
+impl StoredArtefact {
+    /// Its age in seconds; 0 where another machine's clock is ahead.
+    pub(super) fn age(&self) -> u64 {
+        seconds_now().saturating_sub(self.since)
+    }
+
+    /// Whether who stores it again has to renew it.
+    pub(super) fn is_old(&self) -> bool {
+        self.age() > RENEWED_AFTER.as_secs()
+    }
 }

@@ -2,7 +2,7 @@
 
 use segwild_farm::{
     ArtefactDigest, ArtefactError, ArtefactSession, ArtefactStore, FolderEntry, FolderLimits, FolderManifest,
-    ObjectArtefacts,
+    ObjectArtefacts, StoredArtefact,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -20,8 +20,14 @@ impl ArtefactStore for Counted {
     fn name(&self) -> String {
         self.store.name()
     }
-    fn has(&self, digest: &ArtefactDigest) -> Result<bool, ArtefactError> {
-        self.store.has(digest)
+    fn find(&self, digest: &ArtefactDigest) -> Result<Option<StoredArtefact>, ArtefactError> {
+        self.store.find(digest)
+    }
+    fn list(&self, show: &mut dyn FnMut(StoredArtefact)) -> Result<(), ArtefactError> {
+        self.store.list(show)
+    }
+    fn remove(&self, digest: &ArtefactDigest) -> Result<(), ArtefactError> {
+        self.store.remove(digest)
     }
     fn put(&self, digest: &ArtefactDigest, file: &Path) -> Result<(), ArtefactError> {
         self.puts.fetch_add(1, Ordering::Relaxed);

@@ -4,3 +4,4 @@ mod folders;
 mod runs;
 mod servers;
 mod stores;
+mod sweeps;

@@ -6,7 +6,7 @@ use segwild_flow::process;
 use std::io::Write;
 use std::path::Path;
 use std::sync::Barrier;
-use std::time::Instant;
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 const LARGE: usize = 70 << 20;
 /// A store takes no more memory than this for a file of any length, in bytes.
@@ -43,6 +43,7 @@ fn serves(store: &dyn ArtefactStore, write_other: &dyn Fn(&ArtefactDigest, &[u8]
     }
     is_bounded(store, &from, &to);
     refuses(store, write_other, &from, dir.path());
+    lists_and_removes(store, &from);
 
     // Two at once, of one large file: both succeed.
     let digest = file_of(&from, 9 << 20, 77);
@@ -57,6 +58,30 @@ fn serves(store: &dyn ArtefactStore, write_other: &dyn Fn(&ArtefactDigest, &[u8]
     });
     store.get(&digest, &to).unwrap();
     assert_eq!(ArtefactDigest::of_file(&to).unwrap().0, digest);
+}
+
+/// What is stored is listed with its length and its time, and what is removed is gone.
+fn lists_and_removes(store: &dyn ArtefactStore, from: &Path) {
+    let digest = file_of(from, 5000, 55);
+    let listed = || {
+        let mut found = Vec::new();
+        store.list(&mut |artefact| found.push(artefact)).unwrap();
+        found
+    };
+    let before = listed();
+    store.put(&digest, from).unwrap();
+    let found = store.find(&digest).unwrap().expect("it is there");
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs();
+    assert!(found.digest == digest && found.bytes == 5000 && found.since.abs_diff(now) < 600, "{found:?}");
+    let with = listed();
+    assert!(before.len() > 6 && with.len() == before.len() + 1 && with.contains(&found), "{with:?}");
+    for _ in 0..2 {
+        store.remove(&digest).unwrap();
+        assert!(!store.has(&digest).unwrap());
+    }
+    assert_eq!(listed().len(), before.len());
+    store.put(&digest, from).unwrap();
+    assert!(store.has(&digest).unwrap(), "it can be stored again");
 }
 
 fn is_bounded(store: &dyn ArtefactStore, from: &Path, to: &Path) {

@@ -1,0 +1,168 @@
+//! What no scene of a farm needs is removed from a shared folder, and nothing else.
+
+use segwild_farm::{
+    ArtefactDigest, ArtefactError, ArtefactSession, ArtefactStore, EmbeddedEngine, FarmSweep, FarmSweepError,
+    Job, JobEngine, Needs, ObjectArtefacts, SweptArtefacts, WorkerOffer,
+};
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+const HOUR: Duration = Duration::from_secs(3600);
+
+struct SweptFarm {
+    folder: PathBuf,
+    store: Arc<ObjectArtefacts>,
+    engine: EmbeddedEngine,
+}
+
+impl SweptFarm {
+    fn in_folder(folder: &Path) -> Self {
+        let store = ObjectArtefacts::open(&folder.join("shared").display().to_string()).unwrap();
+        let engine = EmbeddedEngine::open(folder.join("jobs.sqlite")).unwrap();
+        Self { folder: folder.to_owned(), store: Arc::new(store), engine }
+    }
+
+    /// A folder of files, stored by a program of its own.
+    fn stored(&self, name: &str, texts: &[&str]) -> ArtefactDigest {
+        let folder = self.folder.join(name);
+        std::fs::create_dir_all(&folder).unwrap();
+        for text in texts {
+            std::fs::write(folder.join(text), text).unwrap();
+        }
+        ArtefactSession::new(self.store.clone()).store_folder(&folder, &|_| true).unwrap()
+    }
+
+    fn job(&self, id: &str, photos: &ArtefactDigest) {
+        let payload = format!("{{\"photos\": \"{photos}\", \"settings\": {{}}}}");
+        self.engine.publish(&Job::new(id, payload, Needs::default())).unwrap();
+    }
+
+    /// Lets everything in the store be so old.
+    fn age(&self, age: Duration) {
+        for folder in std::fs::read_dir(self.folder.join("shared")).unwrap().flatten() {
+            let inner = folder.path();
+            let files = if inner.is_dir() { std::fs::read_dir(inner).unwrap() } else { continue };
+            for file in files.flatten() {
+                File::open(file.path()).unwrap().set_modified(SystemTime::now() - age).unwrap();
+            }
+        }
+    }
+
+    fn sweep(
+        &self,
+        hours: u32,
+        dry_run: bool,
+    ) -> Result<(SweptArtefacts, BTreeSet<ArtefactDigest>), FarmSweepError> {
+        let artefacts = ArtefactSession::new(self.store.clone());
+        let farms: Vec<&dyn JobEngine> = vec![&self.engine];
+        let older_than = hours * HOUR;
+        let mut shown = BTreeSet::new();
+        let sweep = FarmSweep { farms, artefacts: &artefacts, older_than, dry_run };
+        let swept = sweep.sweep(&mut |artefact| {
+            shown.insert(artefact.digest);
+        })?;
+        Ok((swept, shown))
+    }
+
+    /// Whether a folder can be fetched whole.
+    fn has(&self, folder: &ArtefactDigest) -> bool {
+        let into = self.folder.join("into").join(folder.to_string());
+        let fetched = ArtefactSession::new(self.store.clone()).fetch_folder(folder, &into);
+        let _ = std::fs::remove_dir_all(&into);
+        match fetched {
+            Ok(_) => true,
+            Err(ArtefactError::Missing { .. }) => false,
+            Err(error) => panic!("{error}"),
+        }
+    }
+}
+
+#[test]
+fn what_no_job_state_or_result_refers_to_is_removed_and_a_dry_run_only_lists_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let farm = SweptFarm::in_folder(dir.path());
+    let [photos, early, late, result] = [
+        farm.stored("photos", &["a", "b"]),
+        farm.stored("early", &["b", "state 1"]),
+        farm.stored("late", &["b", "state 2"]),
+        farm.stored("result", &["model"]),
+    ];
+    let withdrawn = farm.stored("withdrawn", &["b", "c"]);
+    farm.job("night/a", &photos);
+    farm.job("night/b", &photos);
+    let offer = WorkerOffer::all("w", Needs::default(), 600.0);
+    let lease = farm.engine.claim(&offer).unwrap().unwrap();
+    for state in [&early, &late] {
+        farm.engine.checkpoint(&lease, &state.to_string()).unwrap();
+    }
+    farm.engine.complete(&lease, &format!("{{\"seconds\": 1, \"artefact\": \"{result}\"}}")).unwrap();
+    std::fs::write(dir.path().join("shared/notes.txt"), "somebody's own").unwrap();
+    assert_eq!(farm.sweep(72, false).unwrap().0.removed.artefacts, 0, "all of it is young");
+    farm.age(100 * HOUR);
+    let young = farm.stored("young", &["d"]);
+    // Two manifests, and the files that no other folder has.
+    let expected: BTreeSet<_> =
+        [early, withdrawn, ArtefactDigest::of(b"state 1"), ArtefactDigest::of(b"c")].into();
+    let (would, listed) = farm.sweep(72, true).unwrap();
+    assert_eq!((listed, would.removed.artefacts), (expected.clone(), 4));
+    assert!([photos, early, late, result, withdrawn, young].iter().all(|folder| farm.has(folder)));
+    let (swept, removed) = farm.sweep(72, false).unwrap();
+    assert_eq!((removed, swept), (expected, would), "as the dry run showed");
+    assert_eq!((swept.young.artefacts, swept.used.artefacts, swept.missing), (2, 7, 0), "{swept:?}");
+    assert!([photos, late, result, young].iter().all(|folder| farm.has(folder)));
+    assert!(![early, withdrawn].iter().any(|folder| farm.has(folder)));
+    assert!(dir.path().join("shared/notes.txt").is_file(), "it is none of the store's");
+    assert_eq!(farm.sweep(72, false).unwrap().0.removed.artefacts, 0);
+}
+
+/// What a worker stores while a sweep goes on: the store has it already, and nothing refers to it yet.
+#[test]
+fn what_a_worker_stores_again_just_now_is_kept_until_its_record_comes() {
+    let dir = tempfile::tempdir().unwrap();
+    let farm = SweptFarm::in_folder(dir.path());
+    let other = farm.stored("other", &["x"]);
+    farm.job("night/other", &other);
+    let before = farm.stored("photos", &["a", "b"]);
+    farm.age(100 * HOUR);
+    // The same photos are handed in again: no byte travels, but what is there is young again.
+    assert_eq!(farm.stored("photos", &["a", "b"]), before);
+    let (swept, removed) = farm.sweep(72, false).unwrap();
+    assert_eq!((removed.len(), swept.young.artefacts), (0, 3), "{swept:?}");
+    farm.job("night/again", &before);
+    assert!(farm.has(&before));
+    // No age is shorter than what that takes, whatever is requested.
+    farm.engine.withdraw(&["night/again".to_owned()]).unwrap();
+    farm.age(23 * HOUR);
+    assert_eq!(farm.sweep(0, false).unwrap().0.removed.artefacts, 0);
+    farm.age(25 * HOUR);
+    assert_eq!(farm.sweep(0, false).unwrap().0.removed.artefacts, 3);
+}
+
+#[test]
+fn nothing_is_removed_as_long_as_it_is_not_known_what_is_needed() {
+    let dir = tempfile::tempdir().unwrap();
+    let farm = SweptFarm::in_folder(dir.path());
+    let photos = farm.stored("photos", &["a", "b"]);
+    let unused = farm.stored("unused", &["c"]);
+    farm.age(100 * HOUR);
+    // As with a wrong name or a wrong key.
+    assert!(matches!(farm.sweep(72, false), Err(FarmSweepError::Empty)));
+    farm.job("night/a", &photos);
+    let newer = Job::new("night/b", "{\"photos\": 7}", Needs::default());
+    farm.engine.publish(&newer).unwrap();
+    let error = farm.sweep(72, false).map(drop).unwrap_err().to_string();
+    assert!(error.contains("`night/b`"), "{error}");
+    farm.engine.withdraw(&["night/b".to_owned()]).unwrap();
+    // A list of files that is damaged in the store.
+    let hex = photos.to_string();
+    std::fs::write(dir.path().join("shared").join(&hex[..2]).join(&hex), "{}").unwrap();
+    let error = farm.sweep(72, false).map(drop).unwrap_err().to_string();
+    assert!(error.contains(&hex), "{error}");
+    assert!(farm.has(&unused));
+    // One that is missing needs nothing any more, and is counted.
+    farm.store.remove(&photos).unwrap();
+    assert_eq!(farm.sweep(72, true).unwrap().0.missing, 1);
+}
