@@ -202,8 +202,18 @@ fn setting(field: &'static Field, heading: String) -> Arg {
 /// What the help calls a setting's value.
 fn value_name(field: &Field) -> &'static str {
     match field.name {
-        "images" | "ignore" | "keep_masks" | "transient_masks" | "split" | "imported_splats"
-        | "imported_frame" | "models" | "transient_network" | "onnxruntime" | "vision_token_file"
+        "images"
+        | "ignore"
+        | "keep_masks"
+        | "transient_masks"
+        | "split"
+        | "imported_splats"
+        | "imported_frame"
+        | "models"
+        | "transient_network"
+        | "onnxruntime"
+        | "vision_token_file"
+        | "vision_certificates"
         | "lpips_weights" => "PATH",
         "vision_service" => "ADDRESS",
         "object_appearance" => "PHOTO",

@@ -71,9 +71,12 @@ impl From<RunError> for Failure {
         let code = match &error {
             RunError::Storage { refusal, .. } => refusal_code(*refusal),
             error if is_shortage(error) => exit::SHORTAGE,
-            RunError::Vision(VisionError::Service(ServiceError::Address(_) | ServiceError::Token { .. })) => {
-                exit::USAGE
-            }
+            RunError::Vision(VisionError::Service(
+                ServiceError::Address(_)
+                | ServiceError::Token { .. }
+                | ServiceError::Certificates(_)
+                | ServiceError::NoTls { .. },
+            )) => exit::USAGE,
             RunError::Vision(VisionError::Service(_)) => exit::INCOMPLETE,
             // The disk's fault, and not the scene's.
             RunError::Scene(SceneError::File(_)) => exit::FOLDER,

@@ -14,10 +14,11 @@ use std::sync::Arc;
 /// Where the record is in the run folder.
 const RECORD: &str = "networks.json";
 /// The environment variables for settings of [`VisionSettings::CODE`]; that for the library is `ORT_DYLIB_PATH`.
-const VARIABLES: [(&str, &str); 3] = [
+const VARIABLES: [(&str, &str); 4] = [
     ("models", MODELS),
     ("vision_service", "SEGWILD_VISION_SERVICE"),
     ("vision_token_file", "SEGWILD_VISION_TOKEN_FILE"),
+    ("vision_certificates", "SEGWILD_VISION_CERTIFICATES"),
 ];
 const MODELS: &str = "SEGWILD_MODELS";
 
@@ -48,10 +49,17 @@ impl Code {
     /// Takes them from settings that do not come from a run folder.
     pub fn of(settings: &VisionSettings) -> Code {
         let VisionSettings {
-            models, transient_network, onnxruntime, vision_service, vision_token_file, ..
+            models,
+            transient_network,
+            onnxruntime,
+            vision_service,
+            vision_token_file,
+            vision_certificates,
+            ..
         } = settings;
         let values =
-            [models, transient_network, onnxruntime, vision_service, vision_token_file].map(String::clone);
+            [models, transient_network, onnxruntime, vision_service, vision_token_file, vision_certificates]
+                .map(String::clone);
         Code { flags: VisionSettings::CODE.into_iter().zip(values).collect(), environment: BTreeMap::new() }
     }
 
@@ -68,9 +76,22 @@ impl Code {
     /// Writes the paths into settings. Flags replace what is there; the environment fills what is empty.
     pub fn tell(&self, settings: &mut VisionSettings) {
         let VisionSettings {
-            models, transient_network, onnxruntime, vision_service, vision_token_file, ..
+            models,
+            transient_network,
+            onnxruntime,
+            vision_service,
+            vision_token_file,
+            vision_certificates,
+            ..
         } = settings;
-        let all = [&mut *models, transient_network, onnxruntime, vision_service, vision_token_file];
+        let all = [
+            &mut *models,
+            transient_network,
+            onnxruntime,
+            vision_service,
+            vision_token_file,
+            vision_certificates,
+        ];
         for (name, setting) in VisionSettings::CODE.iter().zip(all) {
             let given = self.flags.get(name);
             if let Some(value) = given.or_else(|| self.environment.get(name).filter(|_| setting.is_empty())) {

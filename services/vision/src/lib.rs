@@ -45,6 +45,7 @@ mod server;
 mod service;
 mod service_address;
 mod service_error;
+mod service_tls;
 mod settings;
 mod survey;
 
@@ -70,5 +71,6 @@ pub use server::{VisionServer, VisionServiceOptions, serve_vision};
 pub use service::{RemoteVision, ServiceTerms};
 pub use service_address::{AddressError, ServiceAddress};
 pub use service_error::{ServiceError, TokenFileError};
+pub use service_tls::{ServiceIdentity, TlsFileError, TrustedCertificates};
 pub use settings::{DeviceChoice, EdgeChoice, ModelChoice, SkyChoice, VisionSettings};
 pub use survey::FileUse;

@@ -8,6 +8,7 @@ use crate::onnx::Runtime;
 use crate::service::{RemoteVision, ServiceTerms};
 use crate::service_address::ServiceAddress;
 use crate::service_error::{ServiceError, TokenFileError};
+use crate::service_tls::TrustedCertificates;
 use crate::settings::{EdgeChoice, ModelChoice, SkyChoice, VisionSettings};
 use crate::{
     Builtin, EdgeDetector, EdgeNetwork, Embedder, MaskProposer, PromptSegmenter, RegionCache, Sam,
@@ -261,12 +262,16 @@ fn connected(settings: &VisionSettings) -> Result<Option<RemoteVision>, VisionEr
         "" => None,
         _ => Some(token_of(file).map_err(|reason| ServiceError::Token { file: file.to_owned(), reason })?),
     };
+    let trusted = match settings.vision_certificates.as_str() {
+        "" => None,
+        file => Some(TrustedCertificates::read(Path::new(file)).map_err(ServiceError::Certificates)?),
+    };
     let terms = ServiceTerms {
         deadline: Duration::from_secs(settings.network_limit.into()),
         patience: Duration::from_secs(settings.vision_patience.into()),
         first_patience: FIRST_PATIENCE.min(Duration::from_secs(settings.vision_patience.into())),
     };
-    Ok(Some(RemoteVision::connect(addresses, token.as_ref(), terms)?))
+    Ok(Some(RemoteVision::connect(addresses, token.as_ref(), trusted.as_ref(), terms)?))
 }
 
 fn token_of(file: &Path) -> Result<Token, TokenFileError> {

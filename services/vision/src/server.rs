@@ -1,6 +1,7 @@
 //! The server: this machine's providers for other machines.
 
 use crate::service::wire::{self, Arriving, MessageError};
+use crate::service_tls::ServiceIdentity;
 use crate::{Providers, TextEmbedder, VisionError};
 use futures_util::StreamExt;
 use futures_util::stream::{self, BoxStream};
@@ -41,6 +42,8 @@ pub struct VisionServiceOptions {
     pub memory: usize,
     /// Calls that are computed at the same time.
     pub parallel: usize,
+    /// Who the service is; `None`: nothing is encrypted.
+    pub tls: Option<ServiceIdentity>,
 }
 
 /// A running service; dropping it ends it.
@@ -86,9 +89,9 @@ impl Drop for VisionServer {
 /// Serves providers to other machines, on threads of its own.
 ///
 /// # Errors
-/// When the address cannot be listened on, or threads cannot be started.
+/// When the address cannot be listened on, threads cannot be started, or the certificate cannot be used.
 pub fn serve_vision(providers: Providers, options: VisionServiceOptions) -> std::io::Result<VisionServer> {
-    let VisionServiceOptions { address, token, memory, parallel } = options;
+    let VisionServiceOptions { address, token, memory, parallel, tls } = options;
     let parallel = parallel.max(1);
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
@@ -120,13 +123,15 @@ pub fn serve_vision(providers: Providers, options: VisionServiceOptions) -> std:
         let _inside = runtime.enter();
         TcpIncoming::from(tokio::net::TcpListener::from_std(listener)?).with_nodelay(Some(true))
     };
+    let mut server = tonic::transport::Server::builder()
+        .http2_keepalive_interval(Some(SIGN_OF_LIFE))
+        .http2_keepalive_timeout(Some(SIGN_OF_LIFE));
+    if let Some(identity) = tls {
+        server = server.tls_config(identity.config()).map_err(std::io::Error::other)?;
+    }
+    let server = server.add_service(service);
     runtime.spawn(async move {
-        let server = tonic::transport::Server::builder()
-            .http2_keepalive_interval(Some(SIGN_OF_LIFE))
-            .http2_keepalive_timeout(Some(SIGN_OF_LIFE))
-            .add_service(service)
-            .serve_with_incoming(incoming);
-        if let Err(error) = server.await {
+        if let Err(error) = server.serve_with_incoming(incoming).await {
             tracing::error!("the vision service has ended: {error}");
         }
     });

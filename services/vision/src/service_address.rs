@@ -6,16 +6,19 @@ use tonic::transport::Endpoint;
 
 /// The scheme of a service's address.
 const SCHEME: &str = "grpc://";
+/// The same by TLS.
+const TLS_SCHEME: &str = "grpcs://";
 
-/// A service's address: `grpc://HOST:PORT`.
+/// A service's address: `grpc://HOST:PORT`, or `grpcs://HOST:PORT` by TLS.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ServiceAddress {
+    tls: bool,
     host_and_port: String,
 }
 
 /// A text is no address of a service.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no address of a service: write grpc://HOST:PORT")]
+#[error("`{0}` is no address of a service: write grpc://HOST:PORT, or grpcs://HOST:PORT for TLS")]
 pub struct AddressError(String);
 
 impl ServiceAddress {
@@ -29,12 +32,17 @@ impl ServiceAddress {
 
     /// Whether a text is meant as addresses.
     pub fn is_meant(text: &str) -> bool {
-        text.trim_start().starts_with(SCHEME)
+        [SCHEME, TLS_SCHEME].iter().any(|scheme| text.trim_start().starts_with(scheme))
+    }
+
+    /// Whether what is sent there is encrypted.
+    pub fn is_encrypted(&self) -> bool {
+        self.tls
     }
 
     /// The address as the transport takes it.
     pub(super) fn http(&self) -> String {
-        format!("http://{}", self.host_and_port)
+        format!("{}://{}", if self.tls { "https" } else { "http" }, self.host_and_port)
     }
 }
 
@@ -43,13 +51,15 @@ impl FromStr for ServiceAddress {
 
     fn from_str(text: &str) -> Result<ServiceAddress, AddressError> {
         let wrong = || AddressError(text.to_owned());
-        let rest = text.strip_prefix(SCHEME).ok_or_else(wrong)?;
+        let plain = text.strip_prefix(SCHEME);
+        let (tls, rest) =
+            (plain.is_none(), plain.or_else(|| text.strip_prefix(TLS_SCHEME)).ok_or_else(wrong)?);
         let (host, port) = rest.rsplit_once(':').ok_or_else(wrong)?;
         let plain = |b: u8| b.is_ascii_alphanumeric() || b".-_[]:".contains(&b);
         if host.is_empty() || !host.bytes().all(plain) || !port.parse::<u16>().is_ok_and(|port| port > 0) {
             return Err(wrong());
         }
-        let address = ServiceAddress { host_and_port: rest.to_owned() };
+        let address = ServiceAddress { tls, host_and_port: rest.to_owned() };
         // What the transport would refuse is refused here, in words.
         Endpoint::from_shared(address.http()).map_err(|_| wrong())?;
         Ok(address)
@@ -58,7 +68,7 @@ impl FromStr for ServiceAddress {
 
 impl fmt::Display for ServiceAddress {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        write!(f, "{SCHEME}{}", self.host_and_port)
+        write!(f, "{}{}", if self.tls { TLS_SCHEME } else { SCHEME }, self.host_and_port)
     }
 }
 
@@ -68,12 +78,16 @@ mod tests {
 
     #[test]
     fn addresses_are_listed_with_commas_and_others_are_refused_by_name() {
-        let two = ServiceAddress::list("grpc://gpu1:50051, grpc://[::1]:7,").unwrap();
+        let all = ServiceAddress::list("grpc://gpu1:50051, grpc://[::1]:7,grpcs://gpu2:443").unwrap();
         assert_eq!(
-            two.iter().map(ToString::to_string).collect::<Vec<_>>(),
-            ["grpc://gpu1:50051", "grpc://[::1]:7"]
+            all.iter().map(ToString::to_string).collect::<Vec<_>>(),
+            ["grpc://gpu1:50051", "grpc://[::1]:7", "grpcs://gpu2:443"]
         );
-        assert_eq!(two[0].http(), "http://gpu1:50051");
+        assert_eq!(
+            (all[0].http().as_str(), all[2].http().as_str()),
+            ("http://gpu1:50051", "https://gpu2:443")
+        );
+        assert!(ServiceAddress::is_meant("grpcs://a") && !ServiceAddress::is_meant("sam"));
         for wrong in [
             "gpu1:50051",
             "grpc://gpu1",
@@ -81,6 +95,7 @@ mod tests {
             "grpc://a:0",
             "grpc://a/b:1",
             "http://a:1",
+            "grpcs:/a:1",
             "grpc://a@b:1",
             "grpc://[[:1",
             "grpc://a:b:1",

@@ -1,6 +1,7 @@
 //! Why services do not serve.
 
 use crate::service_address::{AddressError, ServiceAddress};
+use crate::service_tls::TlsFileError;
 use std::path::PathBuf;
 
 /// Why services do not serve.
@@ -17,6 +18,17 @@ pub enum ServiceError {
         /// What is wrong with it.
         #[source]
         reason: TokenFileError,
+    },
+    /// The file of trusted certificates cannot be used.
+    #[error("the certificates of vision services: {0}")]
+    Certificates(#[from] TlsFileError),
+    /// What is sent to a service cannot be encrypted.
+    #[error("there is no TLS with the vision service {address}: {reason}")]
+    NoTls {
+        /// Where.
+        address: ServiceAddress,
+        /// What is wrong.
+        reason: String,
     },
     /// No thread can be had for connections.
     #[error("no connection can be had: {0}")]

@@ -80,15 +80,19 @@ segwild_scene::settings! {
         /// Network whose persons and vehicles are transients from the start. The file answers the classes of Cityscapes
         /// (such as `deeplab_cityscapes_513.onnx`). Empty: none. It is never read from a run folder.
         transient_network: String = String::new(),
-        /// What finds masks. It answers clicks as well. An address `grpc://HOST:PORT` is short for `vision_service` and `service`.
+        /// What finds masks. It answers clicks as well. An address `grpc://HOST:PORT` or `grpcs://HOST:PORT` is short for `vision_service` and `service`.
         masks: ModelChoice = ModelChoice::Auto,
         /// What describes photos for the feature field.
         embedder: ModelChoice = ModelChoice::Auto,
-        /// Vision services that have the models, with commas between. Each is `grpc://HOST:PORT`: `segwild vision serve` on another
-        /// machine, or a server of your own; all have the same models. Empty: none. It is never read from a run folder.
+        /// Vision services that have the models, with commas between. Each is `grpc://HOST:PORT`, or `grpcs://HOST:PORT` by TLS:
+        /// `segwild vision serve` on another machine, or a server of your own; all have the same models. Empty: none. It is never
+        /// read from a run folder.
         vision_service: String = String::new(),
         /// File with the token that the vision services want. Empty: none. It is never read from a run folder.
         vision_token_file: String = String::new(),
+        /// File with the certificates of who signed those of the vision services (PEM, for `grpcs://`). Empty: the certificates that
+        /// the system trusts. It is never read from a run folder.
+        vision_certificates: String = String::new(),
         /// Seconds for which a run waits when no vision service answers any more. Then it stops, and the same command continues.
         vision_patience: u32 = 120 => 1..,
         /// Stem of the names of SAM's files (`mobile_sam`, `sam_vit_b`, ..). Empty: the first that is there, lightest first.
@@ -119,8 +123,14 @@ impl VisionSettings {
     /// Settings that name code, or machines that are trusted as code is: a library that is loaded, networks that it executes,
     /// services that photos are sent to. They come from whoever runs the program (a flag, the environment, a settings file of
     /// their own), never from a folder that somebody may have sent.
-    pub const CODE: [&'static str; 5] =
-        ["models", "transient_network", "onnxruntime", "vision_service", "vision_token_file"];
+    pub const CODE: [&'static str; 6] = [
+        "models",
+        "transient_network",
+        "onnxruntime",
+        "vision_service",
+        "vision_token_file",
+        "vision_certificates",
+    ];
 
     /// Flags with `masks = grpc://..` written out: the service, and that it finds masks.
     pub fn with_services(flags: &[(String, String)]) -> Vec<(String, String)> {

@@ -20,7 +20,7 @@ const PORT_FREE: Duration = Duration::from_secs(5);
 fn start(providers: &Providers, address: SocketAddr) -> std::io::Result<VisionServer> {
     let began = Instant::now();
     loop {
-        let options = VisionServiceOptions { address, token: None, memory: IMAGES, parallel: 1 };
+        let options = VisionServiceOptions { address, token: None, memory: IMAGES, parallel: 1, tls: None };
         match serve_vision(providers.clone(), options) {
             Err(error) if error.kind() == std::io::ErrorKind::AddrInUse && began.elapsed() < PORT_FREE => {
                 wait(Duration::from_millis(10));

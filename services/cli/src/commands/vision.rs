@@ -8,7 +8,7 @@ use crate::output::print_line;
 use crate::progress::on_ctrl_c;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_pipeline::{Code, Settings, SettingsError};
-use segwild_vision::{Providers, VisionServiceOptions, serve_vision};
+use segwild_vision::{Providers, ServiceIdentity, VisionServiceOptions, serve_vision};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::mpsc;
 
@@ -31,6 +31,11 @@ pub fn command() -> Command {
             "token-file",
             "Read the token that clients need from this file; it is made where it is missing",
         ))
+        .arg(
+            args::path("tls-cert", "Certificate of the service (PEM): clients connect by grpcs://")
+                .requires("tls-key"),
+        )
+        .arg(args::path("tls-key", "Private key of that certificate (PEM)").requires("tls-cert"))
         .arg(flag("insecure", "Listen to other machines without a token file: everybody is let in"))
         .arg(
             number("parallel", "1", "Calls that are computed at the same time")
@@ -77,6 +82,13 @@ fn serve(matches: &ArgMatches) -> Result<(), Failure> {
     let parallel = usize::from(*matches.get_one::<u16>("parallel").expect("it has a default"));
     let memory = (*matches.get_one::<u32>("image-memory").expect("it has a default") as usize) << 20;
     let failed = |message: String| Failure { message, code: exit::INPUT };
+    let tls = match (args::path_of(matches, "tls-cert"), args::path_of(matches, "tls-key")) {
+        (Some(certificate), Some(key)) => {
+            Some(ServiceIdentity::read(&certificate, &key).map_err(|e| failed(e.to_string()))?)
+        }
+        _ => None,
+    };
+    let scheme = if tls.is_some() { "grpcs" } else { "grpc" };
     let providers = Providers::from_settings(&settings.vision).map_err(|e| failed(e.to_string()))?;
     for note in &providers.notes {
         print_line(note)?;
@@ -88,10 +100,10 @@ fn serve(matches: &ArgMatches) -> Result<(), Failure> {
             std::process::exit(exit::INTERRUPTED.into());
         }
     })?;
-    let options = VisionServiceOptions { address, token, memory, parallel };
+    let options = VisionServiceOptions { address, token, memory, parallel, tls };
     let server = serve_vision(providers, options)
         .map_err(|e| failed(format!("the service cannot listen on {address}: {e}")))?;
-    print_line(&format!("the service: grpc://{}", server.address()))?;
+    print_line(&format!("the service: {scheme}://{}", server.address()))?;
     // The sender lives as long as the process.
     let _ = stopped.recv();
     eprintln!("{} calls were computed", server.computed());

@@ -163,6 +163,7 @@ impl Settings {
             &mut vision.transient_network,
             &mut vision.onnxruntime,
             &mut vision.vision_token_file,
+            &mut vision.vision_certificates,
             &mut run.lpips_weights,
         ] {
             if !path.is_empty()

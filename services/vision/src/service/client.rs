@@ -9,6 +9,7 @@ use crate::provider::check_certainty;
 use crate::sam::{bounds, middle};
 use crate::service_address::ServiceAddress;
 use crate::service_error::ServiceError;
+use crate::service_tls::TrustedCertificates;
 use crate::{
     Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, TextEmbedder, TransientDetector,
     VisionError, Work,
@@ -45,13 +46,15 @@ impl Drop for RemoteVision {
 }
 
 impl RemoteVision {
-    /// Connects to services that have the same models.
+    /// Connects to services that have the same models. Those by TLS must show certificates that `trusted` signed; without it,
+    /// those that the system trusts.
     ///
     /// # Errors
     /// When none answers, one refuses the token, or two have different models.
     pub fn connect(
         addresses: Vec<ServiceAddress>,
         token: Option<&Token>,
+        trusted: Option<&TrustedCertificates>,
         terms: ServiceTerms,
     ) -> Result<RemoteVision, ServiceError> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
@@ -62,7 +65,8 @@ impl RemoteVision {
             .map_err(ServiceError::Start)?;
         let members = {
             let _inside = runtime.enter();
-            addresses.into_iter().map(|address| Arc::new(Member::new(address, token, MOST_MESSAGE))).collect()
+            let member = |address| Member::new(address, token, trusted, MOST_MESSAGE).map(Arc::new);
+            addresses.into_iter().map(member).collect::<Result<Vec<_>, _>>()?
         };
         let pool = wait(&runtime, ServicePool::connect(members, terms))?;
         Ok(RemoteVision { pool, runtime: Some(runtime), work: Mutex::default() })
@@ -472,12 +476,13 @@ mod tests {
             token: None,
             memory: 1 << 20,
             parallel: 1,
+            tls: None,
         };
         let server = serve_vision(providers, options).unwrap();
         let addresses = ServiceAddress::list(&format!("grpc://{}", server.address())).unwrap();
         let time = Duration::from_secs(60);
         let terms = ServiceTerms { deadline: time, patience: time, first_patience: time };
-        let there = RemoteVision::connect(addresses, None, terms).unwrap();
+        let there = RemoteVision::connect(addresses, None, None, terms).unwrap();
         let image = Image::zeros(16, 16, 3);
         let until = |met: &dyn Fn() -> bool| {
             while !met() {

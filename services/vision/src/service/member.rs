@@ -1,6 +1,8 @@
 //! One service of several: its connection, its slots, and whether it is there.
 
 use crate::service_address::ServiceAddress;
+use crate::service_error::ServiceError;
+use crate::service_tls::{TrustedCertificates, encrypted, innermost};
 use segwild_files::lock;
 use segwild_proto::Token;
 use segwild_proto::v1::vision_client::VisionClient;
@@ -91,8 +93,23 @@ pub(super) struct Member {
 
 impl Member {
     /// A service that is not known yet. It is connected when it is called.
-    pub fn new(address: ServiceAddress, token: Option<&Token>, most_message: usize) -> Member {
-        let endpoint = Endpoint::from_shared(address.http()).expect("an address is checked when it is read");
+    ///
+    /// # Errors
+    /// When what is sent there cannot be encrypted.
+    pub fn new(
+        address: ServiceAddress,
+        token: Option<&Token>,
+        trusted: Option<&TrustedCertificates>,
+        most_message: usize,
+    ) -> Result<Member, ServiceError> {
+        let mut endpoint =
+            Endpoint::from_shared(address.http()).expect("an address is checked when it is read");
+        if address.is_encrypted() {
+            endpoint = encrypted(endpoint, trusted).map_err(|error| ServiceError::NoTls {
+                address: address.clone(),
+                reason: innermost(&error).to_string(),
+            })?;
+        }
         let channel = endpoint
             .connect_timeout(CONNECT)
             .tcp_nodelay(true)
@@ -102,7 +119,7 @@ impl Member {
         let client = VisionClient::with_interceptor(channel, Credentials(token.map(Token::credentials)))
             .max_decoding_message_size(most_message);
         let health = Mutex::new(Health { unknown: true, ..Health::default() });
-        Member { address, client, slots: OnceLock::new(), health }
+        Ok(Member { address, client, slots: OnceLock::new(), health })
     }
 
     fn health(&self) -> MutexGuard<'_, Health> {

@@ -4,6 +4,7 @@ use super::member::{Client, Described, Member, plain};
 use super::queue::{CallQueue, Priority, Ticket};
 use super::wire::MessageError;
 use crate::service_error::ServiceError;
+use crate::service_tls::innermost;
 use std::error::Error;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -104,7 +105,7 @@ fn verdict(status: &Status) -> Verdict {
 }
 
 fn words(status: &Status) -> String {
-    let source = status.source().map_or(String::new(), |source| format!(" ({source})"));
+    let source = status.source().map_or(String::new(), |source| format!(" ({})", innermost(source)));
     plain(&format!("{}{source}", status.message()))
 }
 

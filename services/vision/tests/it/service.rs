@@ -3,8 +3,8 @@
 use segwild_proto::Token;
 use segwild_scene::{Image, Mask, Prompts, ScoredMask};
 use segwild_vision::{
-    MaskProposer, Providers, RemoteVision, ServiceAddress, ServiceError, ServiceTerms, VisionError,
-    VisionServer, VisionServiceOptions, VisionSettings, serve_vision,
+    MaskProposer, Providers, RemoteVision, ServiceAddress, ServiceError, ServiceIdentity, ServiceTerms,
+    TrustedCertificates, VisionError, VisionServer, VisionServiceOptions, VisionSettings, serve_vision,
 };
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -33,7 +33,7 @@ fn photo(width: usize, height: usize) -> Image {
 
 fn served(providers: Providers, address: &str, token: Option<Token>, memory: usize) -> VisionServer {
     let address: SocketAddr = address.parse().unwrap();
-    serve_vision(providers, VisionServiceOptions { address, token, memory, parallel: 2 }).unwrap()
+    serve_vision(providers, VisionServiceOptions { address, token, memory, parallel: 2, tls: None }).unwrap()
 }
 
 fn builtin() -> Providers {
@@ -47,7 +47,7 @@ fn terms(seconds: u64) -> ServiceTerms {
 
 fn connect(servers: &[&VisionServer], seconds: u64) -> Result<RemoteVision, ServiceError> {
     let all: Vec<String> = servers.iter().map(|server| format!("grpc://{}", server.address())).collect();
-    RemoteVision::connect(ServiceAddress::list(&all.join(",")).unwrap(), None, terms(seconds))
+    RemoteVision::connect(ServiceAddress::list(&all.join(",")).unwrap(), None, None, terms(seconds))
 }
 
 #[test]
@@ -209,8 +209,12 @@ fn services_that_are_gone_for_too_long_are_named_and_no_photo_is_at_fault() {
         e.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::NotConnected)
     });
     assert!(of_the_system, "an actor tells it from a bad photo");
-    let nobody =
-        RemoteVision::connect(ServiceAddress::list(&format!("grpc://{address}")).unwrap(), None, terms(1));
+    let nobody = RemoteVision::connect(
+        ServiceAddress::list(&format!("grpc://{address}")).unwrap(),
+        None,
+        None,
+        terms(1),
+    );
     assert!(nobody.err().expect("nobody is there").to_string().contains(&address.to_string()));
 }
 
@@ -247,9 +251,9 @@ fn services_with_other_models_and_clients_without_the_token_are_refused() {
     let refused = connect(&[&server], 1).err().expect("no token").to_string();
     assert!(refused.contains("token"), "{refused}");
     let address = || ServiceAddress::list(&format!("grpc://{}", server.address())).unwrap();
-    let other = RemoteVision::connect(address(), Some(&Token::random().unwrap()), terms(1));
+    let other = RemoteVision::connect(address(), Some(&Token::random().unwrap()), None, terms(1));
     assert!(other.is_err());
-    RemoteVision::connect(address(), Some(&token), terms(1)).unwrap();
+    RemoteVision::connect(address(), Some(&token), None, terms(1)).unwrap();
 
     let file = tempfile::NamedTempFile::new().unwrap();
     std::fs::write(file.path(), "short").unwrap();
@@ -267,4 +271,52 @@ fn services_with_other_models_and_clients_without_the_token_are_refused() {
     assert!(refused(&none).contains("--vision-service"));
     let wrong = VisionSettings { vision_service: "gpu1:50051".into(), ..VisionSettings::default() };
     assert!(refused(&wrong).contains("grpc://HOST:PORT"));
+}
+
+/// A file of `tls/`: a service's certificate for 127.0.0.1 with its key, who signed it (`ca.pem`), and somebody else.
+fn tls(name: &str) -> std::path::PathBuf {
+    std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/it/tls").join(name)
+}
+
+#[test]
+fn a_service_by_tls_answers_who_trusts_its_certificate_and_nobody_else() {
+    let identity = ServiceIdentity::read(&tls("service.pem"), &tls("service.key")).unwrap();
+    let address = "127.0.0.1:0".parse().unwrap();
+    let options =
+        VisionServiceOptions { address, token: None, memory: 1 << 20, parallel: 1, tls: Some(identity) };
+    let server = serve_vision(builtin(), options).unwrap();
+    let at = |scheme: &str| ServiceAddress::list(&format!("{scheme}://{}", server.address())).unwrap();
+    let signer = TrustedCertificates::read(&tls("ca.pem")).unwrap();
+    let there = RemoteVision::connect(at("grpcs"), None, Some(&signer), terms(20)).unwrap();
+    assert!(!there.propose(&photo(90, 80), &[[20.0, 50.0]]).unwrap().is_empty());
+    let other = TrustedCertificates::read(&tls("other.pem")).unwrap();
+    let refused =
+        RemoteVision::connect(at("grpcs"), None, Some(&other), terms(1)).err().expect("somebody else's");
+    assert!(refused.to_string().contains("certificate"), "{refused}");
+    assert!(
+        RemoteVision::connect(at("grpc"), None, None, terms(1)).is_err(),
+        "nothing goes there in the open"
+    );
+    // By settings, as a run does it.
+    let settings = VisionSettings {
+        vision_service: at("grpcs")[0].to_string(),
+        vision_certificates: tls("ca.pem").display().to_string(),
+        ..VisionSettings::default()
+    };
+    assert_eq!(Providers::from_settings(&settings).unwrap().name, "remote:built-in");
+}
+
+#[test]
+fn certificates_and_keys_that_cannot_be_used_are_named() {
+    let read = |certificate: &str, key: &str| {
+        ServiceIdentity::read(&tls(certificate), &tls(key)).map(drop).unwrap_err().to_string()
+    };
+    assert!(read("none.pem", "service.key").contains("none.pem"));
+    assert!(read("service.key", "service.key").contains("service.key has no certificate"));
+    assert!(read("service.pem", "ca.pem").contains("ca.pem has no private key"));
+    let words = read("other.pem", "service.key");
+    assert!(words.contains("other.pem") && words.contains("cannot be used together"), "{words}");
+    assert!(TrustedCertificates::read(&tls("service.key")).is_err());
+    let identity = ServiceIdentity::read(&tls("service.pem"), &tls("service.key")).unwrap();
+    assert!(!format!("{identity:?}").contains("KEY"), "keys are not printed");
 }

@@ -28,7 +28,8 @@ fn served() -> &'static Served {
     SERVED.get_or_init(|| {
         let start = || -> Result<Served, Box<dyn std::error::Error>> {
             let address = ([127, 0, 0, 1], 0).into();
-            let options = VisionServiceOptions { address, token: None, memory: IMAGES, parallel: 1 };
+            let options =
+                VisionServiceOptions { address, token: None, memory: IMAGES, parallel: 1, tls: None };
             let providers = Providers::from_settings(&VisionSettings::default())?;
             let runtime =
                 tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
