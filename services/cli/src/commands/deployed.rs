@@ -198,7 +198,7 @@ fn objects_of_kubernetes_have_what_their_kinds_need() {
                 "apps/v1"
             }
             "Job" => {
-                jobs_end_as_their_codes_say(name, object);
+                jobs_end_as_each_exit_code_says(name, object);
                 "batch/v1"
             }
             "Service" => {
@@ -268,7 +268,7 @@ fn costs_nothing(code: u8) -> bool {
     code == exit::INTERRUPTED || exit::class(Some(code.into())) == ErrorClass::Shortage
 }
 
-fn jobs_end_as_their_codes_say(name: &str, job: &Value) {
+fn jobs_end_as_each_exit_code_says(name: &str, job: &Value) {
     // Kubernetes takes exit codes into account only where it does not start a container again by itself.
     assert_eq!(text_at(name, job, "/spec/template/spec/restartPolicy"), "Never", "{name}");
     let indexed = job.pointer("/spec/completionMode").is_some_and(|mode| mode == "Indexed");
@@ -289,28 +289,28 @@ fn jobs_end_as_their_codes_say(name: &str, job: &Value) {
             continue;
         }
         assert_eq!(text_at(name, rule, "/onExitCodes/operator"), "In", "{name}");
-        let codes = list_at(name, rule, "/onExitCodes/values").iter();
-        let codes: Vec<u8> =
-            codes.map(|code| code.as_u64().and_then(|code| code.try_into().ok()).expect("a code")).collect();
+        let exits = list_at(name, rule, "/onExitCodes/values").iter();
+        let exits: Vec<u8> =
+            exits.map(|code| code.as_u64().and_then(|code| code.try_into().ok()).expect("a code")).collect();
         // As Kubernetes wants them.
-        assert!(codes.is_sorted() && !codes.contains(&0) && !codes.is_empty(), "{name}: {codes:?}");
+        assert!(exits.is_sorted() && !exits.contains(&0) && !exits.is_empty(), "{name}: {exits:?}");
         let known = match action.as_str() {
             "Ignore" => {
-                free.extend(codes.iter().copied());
-                codes.iter().all(|code| costs_nothing(*code))
+                free.extend(exits.iter().copied());
+                exits.iter().all(|code| costs_nothing(*code))
             }
             // A command line that makes no sense is that of every pod; photos are those of one index.
             "FailJob" => {
-                ends.extend(codes.iter().copied());
-                codes == [exit::USAGE]
+                ends.extend(exits.iter().copied());
+                exits == [exit::USAGE]
             }
             "FailIndex" => {
-                ends.extend(codes.iter().copied());
-                indexed && codes.iter().all(|code| is_fatal(*code))
+                ends.extend(exits.iter().copied());
+                indexed && exits.iter().all(|code| is_fatal(*code))
             }
             other => panic!("{name}: {other}"),
         };
-        assert!(known, "{name}: {action} does not fit {codes:?}");
+        assert!(known, "{name}: {action} does not fit {exits:?}");
     }
     assert!(disruptions, "{name}: an eviction costs an attempt");
     assert_eq!(free, BTreeSet::from([exit::SHORTAGE, exit::INTERRUPTED]), "{name}: these cost no attempt");
@@ -320,13 +320,13 @@ fn jobs_end_as_their_codes_say(name: &str, job: &Value) {
 }
 
 /// The codes of a line of a service unit.
-fn unit_codes(unit: &str, setting: &str) -> Vec<u8> {
+fn unit_exits(unit: &str, setting: &str) -> Vec<u8> {
     let line = unit.lines().find_map(|line| line.strip_prefix(setting)?.strip_prefix('='));
     line.unwrap_or_default().split(' ').filter_map(|code| code.parse().ok()).collect()
 }
 
 #[test]
-fn exit_codes_of_deploy_are_those_of_the_page() {
+fn each_exit_code_of_deploy_stands_on_the_page() {
     let page = std::fs::read_to_string(root().join("docs/reference/exit-codes.md")).expect("the page");
     let cells = |line: &str| line.split('|').map(|cell| cell.trim().to_owned()).collect::<Vec<_>>();
     let rows = page.lines().map(cells).filter(|cells| cells.len() > 6);
@@ -362,23 +362,23 @@ fn exit_codes_of_deploy_are_those_of_the_page() {
     for (name, text) in files() {
         if name.ends_with(".service") {
             units += 1;
-            let never = unit_codes(&text, "RestartPreventExitStatus");
+            let never = unit_exits(&text, "RestartPreventExitStatus");
             // A batch with dead letters (4) does not get better by another start; a service has no photos of its own.
             let batch = |code: u8| name.contains("batch") && code == exit::INCOMPLETE;
             assert!(
                 never.contains(&exit::USAGE) && never.iter().all(|c| is_fatal(*c) || batch(*c)),
                 "{name}: {never:?}"
             );
-            assert_eq!(unit_codes(&text, "SuccessExitStatus"), [exit::INTERRUPTED], "{name}");
+            assert_eq!(unit_exits(&text, "SuccessExitStatus"), [exit::INTERRUPTED], "{name}");
         }
         if name == "slurm/scenes.sbatch" {
             let pattern =
                 text.lines().find_map(|line| line.trim().strip_suffix(')').filter(|l| l.contains(" | ")));
-            let codes = pattern
+            let exits = pattern
                 .expect("codes that are requeued")
                 .split(" | ")
                 .map(|code| code.parse().expect("a code"));
-            assert_eq!(codes.collect::<Vec<u8>>(), [exit::SHORTAGE, exit::INTERRUPTED], "{name}");
+            assert_eq!(exits.collect::<Vec<u8>>(), [exit::SHORTAGE, exit::INTERRUPTED], "{name}");
         }
     }
     assert!(units >= 4, "{units}");
