@@ -41,8 +41,6 @@ struct TokenizerJson {
 
 #[derive(Deserialize)]
 struct BytePairsJson {
-    #[serde(rename = "type")]
-    kind: Option<String>,
     #[serde(default)]
     vocab: HashMap<String, u32>,
     #[serde(default)]

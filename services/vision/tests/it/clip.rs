@@ -83,7 +83,7 @@ fn a_service_embeds_texts_and_crops_as_its_model_does() {
     write_usual(folder.path());
     let here = providers(folder.path());
     let address = "127.0.0.1:0".parse().unwrap();
-    let options = VisionServiceOptions { address, token: None, memory: 64 << 20, parallel: 1 };
+    let options = VisionServiceOptions { address, token: None, memory: 64 << 20, parallel: 1, tls: None };
     let server = serve_vision(providers(folder.path()), options).unwrap();
     let settings = VisionSettings {
         vision_service: format!("grpc://{}", server.address()),
