@@ -101,6 +101,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             features: None,
             graph: Some(&graph),
             frozen: None,
+            shown: None,
             seen_once: None,
             skies: None,
             transients: None,

@@ -6,8 +6,8 @@ use crate::scene_tree::{CorrectedLeaves, GroupCandidate, SceneTree};
 use crate::tree_answer::{self, TreeAnswer};
 use crate::{
     Alternative, AnswerStep, AnswerSteps, MaskReader, NeighbourGraph, PosedView, PromptedView, Refiner,
-    Request, SegmentError, SegmentSettings, Selection, SelectionConfidence, SpikeCut, SplatFeatures, cut,
-    select,
+    Request, SegmentError, SegmentSettings, Selection, SelectionConfidence, SpikeCut, SplatFeatures,
+    ViewSplats, cut, select,
 };
 use segwild_flow::{Actor, ActorFailure, Context, Message, Phase, Sender, Stopper, lock};
 use segwild_objective::Engine;
@@ -93,6 +93,8 @@ pub struct SegmentActor {
     pub tree: Option<Arc<SceneTree>>,
     /// The neighbour graph, made at the first task.
     pub graph: Option<NeighbourGraph>,
+    /// Which splats each view shows, from the first task on; `None` where that takes too much memory.
+    pub shown: Option<ViewSplats>,
 }
 
 /// Why a group of the scene tree selects nothing.
@@ -150,6 +152,7 @@ impl SegmentActor {
             prior: None,
             features: self.features.as_deref(),
             graph: self.graph.as_ref(),
+            shown: self.shown.as_ref(),
             frozen: None,
             seen_once: seen_once.as_deref(),
             skies: Some(&*self.skies),

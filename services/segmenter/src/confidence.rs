@@ -1,8 +1,8 @@
-//! How sure a selection is: what the photos, the sides of the object and the levels of the scene tree say of it (method, section
+//! How sure a selection is, by the agreement of photos, of the object's sides and of the levels of the scene tree (method, section
 //! 6.8).
 
 use crate::PhotoAgreement;
-use crate::photo_agreement::MeasuredPhoto;
+use crate::photo_agreement::{MeasuredPhoto, MeasuredPhotos};
 use crate::sides::{ShownSide, SideAgreement, nearest_cosine, side_at};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -21,10 +21,15 @@ struct ConfidenceWeights {
     levels: f32,
 }
 
-/// By choice until they are fitted: a linear regression of `iou` on the numbers that `segwild bench clicks` writes for each click,
-/// with [`UNKNOWN`] where one is missing, replaces them.
-const CONFIDENCE: ConfidenceWeights =
-    ConfidenceWeights { constant: -0.1, expected_iou: 0.2, agreement: 0.4, worst_side: 0.4, levels: 0.1 };
+/// From docs/experiments/2026-11-30-confidence.md: a linear regression of the IoU of random clicks, with [`UNKNOWN`] for what is
+/// not known.
+const CONFIDENCE: ConfidenceWeights = ConfidenceWeights {
+    constant: -0.24,
+    expected_iou: 0.59,
+    agreement: 0.19,
+    worst_side: 0.21,
+    levels: 0.42,
+};
 
 /// Stands for a term that is not known, such as the expected IoU of a photo's own mask. Part of the fit.
 const UNKNOWN: f32 = 0.5;
@@ -51,11 +56,11 @@ const NAMED_PHOTOS: usize = 5;
 pub enum Lopsided {
     /// The photos of the far side agree much less.
     Disagrees,
-    /// Too few photos of the far side were compared.
+    /// Too few photos of the far side were compared, although the scene has some.
     Unseen,
 }
 
-/// What the scene tree says of a selection.
+/// The scene tree's numbers for a selection.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct TreeOpinion {
     /// The expected IoU of its group; `None` where the photos' own masks answered.
@@ -90,9 +95,19 @@ pub struct SelectionConfidence {
 
 impl SelectionConfidence {
     /// Of the photos that have masks. One disagrees that agrees by less than `gate`.
-    pub(crate) fn of(measured: &[MeasuredPhoto], tree: TreeOpinion, gate: f32) -> SelectionConfidence {
+    pub(crate) fn of(
+        MeasuredPhotos { photos: measured, facing }: &MeasuredPhotos,
+        tree: TreeOpinion,
+        gate: f32,
+    ) -> SelectionConfidence {
         let prompted: Vec<Vec3> = measured.iter().filter(|p| p.prompted).map(|p| p.direction).collect();
-        let cosines: Vec<f32> = measured.iter().map(|p| nearest_cosine(p.direction, &prompted)).collect();
+        let to_prompted = |p: &MeasuredPhoto| match p.prompted {
+            true => 1.0,
+            false => nearest_cosine(p.direction, &prompted),
+        };
+        let cosines: Vec<f32> = measured.iter().map(to_prompted).collect();
+        let is_far = |direction: &&Vec3| side_at(nearest_cosine(**direction, &prompted)) == ShownSide::Far;
+        let far_views = facing.iter().filter(is_far).count();
         let side = |of: ShownSide| {
             let shows = measured.iter().zip(&cosines).filter(|(_, cosine)| side_at(**cosine) == of);
             SideAgreement::of(&shows.map(|(photo, _)| photo.agreement).collect::<Vec<_>>())
@@ -102,7 +117,7 @@ impl SelectionConfidence {
             SideAgreement::of(&measured.iter().map(|p| p.agreement).collect::<Vec<_>>()).agreement;
         let far = far_side.agreement.filter(|_| far_side.photos >= MIN_FAR_PHOTOS);
         let worst_side_agreement = [prompted_side.agreement, far].into_iter().flatten().reduce(f32::min);
-        let lopsided = lopsided(prompted_side.agreement, far);
+        let lopsided = lopsided(prompted_side.agreement, far, far_views);
         let photos = measured.iter().zip(&cosines).map(|(photo, &cosine)| PhotoAgreement {
             photo: photo.photo.clone(),
             prompted: photo.prompted,
@@ -148,11 +163,10 @@ impl SelectionConfidence {
             (Some(Lopsided::Disagrees), _) => words.push(
                 "the answer is lopsided: it fits the prompted side, and the other side much less".into(),
             ),
-            (Some(Lopsided::Unseen), 0) => {
-                words.push("the answer is lopsided: its other side was checked in no photo".into());
+            (Some(Lopsided::Unseen), 0) => words.push("its other side was checked in no photo".into()),
+            (Some(Lopsided::Unseen), few) => {
+                words.push(format!("its other side was checked in {} only", counted(few)));
             }
-            (Some(Lopsided::Unseen), few) => words
-                .push(format!("the answer is lopsided: its other side was checked in {} only", counted(few))),
             (None, _) => {}
         }
         let disagreeing = self.disagreeing();
@@ -172,7 +186,8 @@ impl SelectionConfidence {
     }
 }
 
-fn counted(photos: usize) -> String {
+/// A number of photos, in words.
+pub fn counted(photos: usize) -> String {
     if photos == 1 { "1 photo".into() } else { format!("{photos} photos") }
 }
 
@@ -187,10 +202,11 @@ fn combined(tree: TreeOpinion, agreement: Option<f32>, worst_side: Option<f32>) 
     if sum.is_nan() { 0.0 } else { sum.clamp(0.0, 1.0) }
 }
 
-/// Whether a selection is lopsided, by the agreement of its sides: that of the far one is `None` where too few photos show it.
-fn lopsided(prompted: Option<f32>, far: Option<f32>) -> Option<Lopsided> {
+/// Whether a selection is lopsided, by the agreement of its sides: that of the far one is `None` where too few photos of it were
+/// compared, of the `far_views` that the scene has.
+fn lopsided(prompted: Option<f32>, far: Option<f32>, far_views: usize) -> Option<Lopsided> {
     match (prompted?, far) {
-        (_, None) => Some(Lopsided::Unseen),
+        (_, None) => (far_views >= MIN_FAR_PHOTOS).then_some(Lopsided::Unseen),
         (prompted, Some(far)) => (far < prompted - LOPSIDED_MARGIN).then_some(Lopsided::Disagrees),
     }
 }
@@ -225,8 +241,14 @@ mod tests {
         MeasuredPhoto { photo: name.into(), prompted: name == "clicked", direction, agreement, shown }
     }
 
+    fn facing(photos: &[MeasuredPhoto], facing: &[Vec3]) -> SelectionConfidence {
+        let measured = MeasuredPhotos { photos: photos.to_vec(), facing: facing.to_vec() };
+        SelectionConfidence::of(&measured, TreeOpinion::default(), 0.6)
+    }
+
+    /// Of a scene whose photos were all compared.
     fn of(photos: &[MeasuredPhoto]) -> SelectionConfidence {
-        SelectionConfidence::of(photos, TreeOpinion::default(), 0.6)
+        facing(photos, &photos.iter().map(|photo| photo.direction).collect::<Vec<_>>())
     }
 
     #[test]
@@ -249,8 +271,9 @@ mod tests {
         assert_eq!(bad.photos.iter().filter(|photo| photo.disagrees).count(), 2);
         let words = bad.sentences();
         assert!(
-            words[0]
-                .contains("2 photos of the prompted side agree by 0.90, 2 photos of the other side by 0.40")
+            words[0].contains(
+                "agreement 0.90 in 2 photos of the prompted side, 0.40 in 2 photos of the other side"
+            )
         );
         assert!(words[1].contains("lopsided") && words[2].contains("back (0.40), left (0.40)"), "{words:?}");
         assert!(!good.sentences().iter().any(|words| words.contains("lopsided")));
@@ -258,12 +281,23 @@ mod tests {
 
     #[test]
     fn a_far_side_of_one_photo_is_unknown_and_counts_for_nothing() {
-        let few = of(&[photo("clicked", 0.0, 0.9, 0.2), photo("back", 180.0, 0.1, 0.2)]);
+        let photos = [photo("clicked", 0.0, 0.9, 0.2), photo("back", 180.0, 0.1, 0.2)];
+        let few = facing(&photos, &[Vec3::X, -Vec3::X, -Vec3::X]);
         assert_eq!((few.lopsided, few.far_side.photos), (Some(Lopsided::Unseen), 1));
         assert_eq!(few.worst_side_agreement, Some(0.9));
         assert!(few.sentences()[1].contains("checked in 1 photo only"), "{:?}", few.sentences());
-        let none = of(&[photo("clicked", 0.0, 0.9, 0.2)]);
+        let none = facing(&photos[..1], &[Vec3::X, -Vec3::X, -Vec3::X]);
         assert!(none.sentences()[1].contains("checked in no photo"));
+    }
+
+    #[test]
+    fn a_facade_that_no_photo_shows_from_behind_is_not_called_unchecked() {
+        let front = of(&[photo("clicked", 0.0, 0.9, 0.2), photo("beside", 40.0, 0.9, 0.2)]);
+        assert_eq!(front.lopsided, None);
+        // Nor is an object with clicks all around it.
+        let mut around = [photo("clicked", 0.0, 0.9, 0.2), photo("back", 180.0, 0.9, 0.2)];
+        around[1].prompted = true;
+        assert_eq!(of(&around).lopsided, None);
     }
 
     #[test]

@@ -54,9 +54,10 @@ mod steps;
 mod svd;
 mod thin_structures;
 mod tree_answer;
+mod view_splats;
 
 pub use actor::{PhotoReader, SegmentActor, SegmentReply, SegmentTask, Segmented};
-pub use confidence::{Lopsided, SelectionConfidence};
+pub use confidence::{Lopsided, SelectionConfidence, counted};
 pub use coverage::Evidence;
 pub use error::SegmentError;
 pub use graph::NeighbourGraph;
@@ -79,3 +80,4 @@ pub use smooth::graph_cut;
 pub use spread::{Belief, spread};
 pub use steps::{AnswerStep, AnswerSteps};
 pub use tree_answer::Alternative;
+pub use view_splats::ViewSplats;

@@ -2,7 +2,7 @@
 
 use crate::request::view;
 use crate::sides::ShownSide;
-use crate::{Request, SegmentError, Selection, SpikeCut, visible_mask};
+use crate::{PosedView, Request, SegmentError, Selection, SpikeCut, visible_mask};
 use glam::Vec3;
 use segwild_scene::statistics::upper_median;
 use segwild_scene::{Mask, ScoredMask, Splats};
@@ -44,6 +44,15 @@ pub(crate) struct MeasuredPhoto {
     pub shown: f32,
 }
 
+/// The photos with masks of their own, compared with a selection.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct MeasuredPhotos {
+    /// The prompted ones first.
+    pub photos: Vec<MeasuredPhoto>,
+    /// Of each view in whose frame the middle of the object lies, as [`MeasuredPhoto::direction`].
+    pub facing: Vec<Vec3>,
+}
+
 /// Compares a selection with the masks of the prompts and with those that its last round over the photos gave. A photo that
 /// neither shows the selection nor has a mask of it is left out. Spikes are not cut: what they add is rarely a pixel here.
 ///
@@ -54,11 +63,11 @@ pub(crate) fn measure(
     selection: &Selection,
     cut: &SpikeCut,
     masks: &[(usize, ScoredMask)],
-) -> Result<Vec<MeasuredPhoto>, SegmentError> {
+) -> Result<MeasuredPhotos, SegmentError> {
     let mut labels = selection.labels.clone();
     // What joins by a piece would stick out whole.
     cut.dropped.iter().for_each(|&i| labels[i as usize] = false);
-    let Some(middle) = middle(request.splats, &labels) else { return Ok(Vec::new()) };
+    let Some(middle) = middle(request.splats, &labels) else { return Ok(MeasuredPhotos::default()) };
     let prompted = masks.iter().map(|(view, mask)| (*view, &mask.mask, true));
     let others = selection.visits.iter().filter_map(|visit| Some((visit.view, visit.own_mask()?, false)));
     let mut measured = Vec::new();
@@ -68,10 +77,21 @@ pub(crate) fn measure(
             continue;
         };
         let posed = view(request, index)?;
-        let direction = (posed.pose.centre() - middle).normalize_or_zero();
+        let direction = direction_to(posed, middle);
         measured.push(MeasuredPhoto { photo: posed.name.clone(), prompted, direction, agreement, shown });
     }
-    Ok(measured)
+    let in_frame = |posed: &&PosedView| {
+        let point = posed.pose.to_camera(middle);
+        point.z > 0.0 && posed.camera.contains(posed.camera.pixel(point))
+    };
+    let facing = request.views.iter().filter(in_frame);
+    let facing = facing.map(|posed| direction_to(posed, middle)).collect();
+    Ok(MeasuredPhotos { photos: measured, facing })
+}
+
+/// From a point to a view's camera, a unit vector; zero where the camera stands there.
+fn direction_to(posed: &PosedView, point: Vec3) -> Vec3 {
+    (posed.pose.centre() - point).normalize_or_zero()
 }
 
 /// The middle of labelled splats, by medians of coordinates; `None` where there are none.

@@ -1,23 +1,22 @@
 //! Carrying a selection from the prompted photos to all others and back: each photo's own boundaries correct
 //! the rendered prior, and its evidence decides splats that no prompted photo sees.
 
-use crate::coverage::{clean, soft, visible};
+use crate::coverage::{clean, soft};
 use crate::label_fusion::{FusionState, LEAST_HINT, LabelFusion, SPREAD_STEPS, sure};
 use crate::photo_evidence::view_evidence;
 use crate::request::{project, working_camera};
 use crate::spread::Belief;
 use crate::steps::{AnswerStep, PUBLISHED_AFTER};
+use crate::view_splats::{SplatSet, shown_in};
 use crate::{Evidence, Refiner, Request, SegmentError, SegmentSettings};
 use crate::{occlusion, thin_structures};
 use rayon::prelude::*;
 use rayon::{Scope, Yield};
 use segwild_raster::{Channels, Projected};
 use segwild_scene::{Camera, Image, Mask};
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-
-/// Long side in pixels at which the views are compared to find a good order.
-const ORDER_SIZE: u32 = 128;
 
 /// Steps of label spreading after each photo of the first round (method, section 6.3); earlier ones are kept. IoU by half, half
 /// more: +.001, +.001 on `sacre_coeur`; 0, 0 on the demo.
@@ -115,23 +114,6 @@ pub enum PhotoVerdict {
     NotVisible,
 }
 
-/// One bit per splat.
-struct SplatSet(Vec<u64>);
-
-impl SplatSet {
-    fn new(flags: impl ExactSizeIterator<Item = bool>) -> SplatSet {
-        let mut words = vec![0; flags.len().div_ceil(64)];
-        for (i, flag) in flags.enumerate() {
-            words[i / 64] |= u64::from(flag) << (i % 64);
-        }
-        SplatSet(words)
-    }
-
-    fn overlap(&self, other: &SplatSet) -> u32 {
-        self.0.iter().zip(&other.0).map(|(a, b)| (a & b).count_ones()).sum()
-    }
-}
-
 /// Photos refined at once in the later rounds, at most: each takes memory.
 const AT_ONCE: usize = 8;
 
@@ -189,11 +171,11 @@ fn first_round<'s>(
     publish: &Publish,
     scope: &Scope<'s>,
 ) -> Result<(FusionState, Vec<PhotoVisit>), SegmentError> {
-    let mut open: Vec<(usize, SplatSet)> = Vec::new();
+    let mut open: Vec<(usize, Cow<SplatSet>)> = Vec::new();
     for index in
         (0..request.views.len()).filter(|v| request.prompts.iter().all(|p| p.refused || p.view != *v))
     {
-        open.push((index, seen_by(request, index)?));
+        open.push((index, shown_in(request, index)?));
     }
     let mut visits = Vec::new();
     // Photos that are being prepared, or are prepared and were not visited yet; and whether they are.
@@ -237,18 +219,9 @@ fn first_round<'s>(
     Ok((state, visits))
 }
 
-fn seen_by(request: &Request, index: usize) -> Result<SplatSet, SegmentError> {
-    let view = &request.views[index];
-    let camera = view.camera.scaled_to(ORDER_SIZE);
-    let projected = project(request, view, &camera)?;
-    let seen =
-        visible(&*projected, (camera.width, camera.height)).map_err(SegmentError::raster(&view.name))?;
-    Ok(SplatSet::new(seen.into_iter()))
-}
-
 /// The open views that show a decided part of the object, those first of which the largest share of what could be the
 /// object is decided.
-fn most_known(fusion: &LabelFusion, state: &FusionState, open: &[(usize, SplatSet)]) -> Vec<usize> {
+fn most_known(fusion: &LabelFusion, state: &FusionState, open: &[(usize, Cow<SplatSet>)]) -> Vec<usize> {
     let n = state.probability.len();
     let SegmentSettings { rho, gamma, least_evidence, .. } = *fusion.settings;
     let label = |i: usize| state.evidence.label(i, rho, gamma, least_evidence);

@@ -23,6 +23,7 @@ use segwild_scene::{PhotoStore, Prompts, ReaderError, Scene};
 use segwild_segmenter::scene_tree::{GroupCandidate, SceneTree};
 use segwild_segmenter::{
     PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask, SplatFeatures,
+    ViewSplats,
 };
 use segwild_trainer::Model;
 use segwild_vision::Providers;
@@ -171,6 +172,7 @@ impl Session {
                 segmenter: segmenter.clone(),
                 tree: tree_of_actor.clone(),
                 graph: None,
+                shown: ViewSplats::new(splats.len(), views.len()),
             })
         })?;
         let files = ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()));

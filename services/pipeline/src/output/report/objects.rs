@@ -8,7 +8,7 @@ use crate::{ObjectList, RunError, RunFolder, Selected};
 use segwild_flow::{FileError, files};
 use segwild_raster::Rasterizer;
 use segwild_scene::Image;
-use segwild_segmenter::{SelectionConfidence, ShownSide};
+use segwild_segmenter::{SelectionConfidence, ShownSide, counted};
 
 /// The comment after the last selection.
 pub(super) const END_OF_OBJECTS: &str = "<!-- end of objects -->";
@@ -150,9 +150,9 @@ fn sure(confidence: &SelectionConfidence) -> String {
         ]
     }));
     format!(
-        "<p>{}</p><details><summary>{} photos compared</summary>{}</details>",
+        "<p>{}</p><details><summary>{} compared</summary>{}</details>",
         sentences.join(" "),
-        confidence.photos.len(),
+        counted(confidence.photos.len()),
         html::table(&rows)
     )
 }

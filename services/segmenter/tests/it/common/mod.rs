@@ -150,6 +150,7 @@ pub fn request<'a>(
         features: None,
         graph: None,
         frozen: None,
+        shown: None,
         seen_once: None,
         skies: None,
         transients: None,
