@@ -12,10 +12,6 @@ use segwild_scene::{Camera, Image};
 /// changed no measured click.
 const MIN_DEPTH_ALPHA: f32 = 0.5;
 
-/// Share `rho` of a splat's evidence that must lie inside for its depth to count (method, section 6.6): those astride the
-/// outline may belong to either thing. By choice. Half and half more changed no measured click.
-const MIN_SHARE_INSIDE: f32 = 0.5;
-
 /// How much deeper than the deepest click the far layer must start, in widths `W` of the near layer (method, section 6.6):
 /// things are rarely deeper than they are wide. From docs/experiments/2026-11-23-depth-layering.md. Half and half more changed
 /// no measured click.
@@ -60,8 +56,7 @@ pub(crate) fn discount_background(
     let light = projected.gather(&Image { width, height, channels: 1, data: inside })?;
     let depths = projected.depths();
     let mut seen: Vec<SplatDepth> = (0..depths.len())
-        .filter(|&i| depths[i].is_finite() && light[i] > 0.0)
-        .filter(|&i| evidence.rho(i).is_some_and(|rho| rho >= MIN_SHARE_INSIDE))
+        .filter(|&i| depths[i].is_finite() && light[i] > 0.0 && evidence.seen(i) > 0.0)
         .map(|i| SplatDepth { depth: depths[i].into(), light: light[i].into() })
         .collect();
     seen.sort_by(|a, b| a.depth.total_cmp(&b.depth));
