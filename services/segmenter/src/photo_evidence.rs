@@ -7,10 +7,6 @@ use crate::{Evidence, SegmentError, depth_layers, occlusion};
 use segwild_raster::Projected;
 use segwild_scene::{Camera, Mask};
 
-/// Weight `h_min` of a pixel outside of the prompted mask that is as likely part of the object as not (method, section 6.1). By
-/// choice. Half and half more changed no measured click.
-const MIN_PIXEL_WEIGHT: f32 = 0.1;
-
 /// Factor `c` on how much is known by a prompted photo against one that was only refined (method, section 6.1): where its mask
 /// leaves nothing open, no other photo may treat as unknown what it puts outside, however little it sees of any splat there.
 /// From the test `carried.rs` (docs/experiments/2026-11-26-small-coverage.md). IoU by half, half more: 0, -.001 on
@@ -29,11 +25,11 @@ pub(crate) fn prompted_evidence(request: &Request, prompt: &PromptedView) -> Res
     let mut weights = vec![1.0; camera.width as usize * camera.height as usize];
     if let Some(open) = prompt.open {
         // The inside of the mask was prompted; where it ends is a guess. A pixel that is as likely part of the object as not
-        // has little weight.
+        // has no weight.
         let open = open.resized(camera.width as usize, camera.height as usize);
         for (weight, chance) in weights.iter_mut().zip(open.plane(0)) {
             let certainty = 1.0 - 2.0 * chance;
-            *weight = if certainty.is_nan() { 1.0 } else { certainty.clamp(MIN_PIXEL_WEIGHT, 1.0) };
+            *weight = if certainty.is_nan() { 1.0 } else { certainty.clamp(0.0, 1.0) };
         }
     }
     let inside = soft(prompt.mask, camera.width, camera.height);
