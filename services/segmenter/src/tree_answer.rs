@@ -20,9 +20,6 @@ const CORRECTION_VOTE: f32 = 16.0;
 /// IoU of a group with the own mask of a photo with several positive clicks from which both mean the same. By choice.
 const MIN_AGREEMENT: f64 = 0.5;
 
-/// Share of some pixel that a group must make up to show in a photo. By choice. Half and half more changed no measured click.
-const MIN_GROUP_SHARE: f32 = 0.5;
-
 /// Something that clicks may select.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -229,7 +226,7 @@ impl GroupAnswer {
             let wide = share.resized(photo.width, photo.height);
             let failed =
                 |e: VisionError| SegmentError::Provider { photo: posed.name.clone(), reason: e.to_string() };
-            let refined = match wide.data.iter().any(|&share| share > MIN_GROUP_SHARE) {
+            let refined = match wide.data.iter().any(|&share| share > 0.0) {
                 true => Some(segmenter.refine(photo, &wide).map_err(failed)?),
                 false => None,
             };
