@@ -34,15 +34,14 @@ const CONNECTED_WEIGHT: f32 = 0.05;
 /// more move IoU by less than .0005.
 const SURROUNDED_WEIGHT: f32 = 0.5;
 
-/// How far resemblance may move the prior from [`SegmentSettings::unseen_prior`], in odds `o_0`, `o_1`: down, and up (method,
-/// section 6.2). The clicks show one side of an object. How far resemblance to them is to be trusted is learned from the splats
-/// that masks decided. The other side of the object may not resemble them: it must stay open until a photo's own boundaries
-/// decide it. By choice. `o_0`: IoU by half, half more: -.011, +.002 on `sacre_coeur`; 0, 0 on the demo. `o_1`: Half and half
-/// more move IoU by less than .0005.
-const RESEMBLANCE_ODDS: [f64; 2] = [0.5, 20.0];
+/// How far down resemblance may move the prior from [`SegmentSettings::unseen_prior`], in odds `o_0` (method, section 6.2). The
+/// clicks show one side of an object. How far resemblance to them is to be trusted is learned from the splats that masks
+/// decided. The other side of the object may not resemble them: it must stay open until a photo's own boundaries decide it. By
+/// choice. IoU by half, half more: -.011, +.002 on `sacre_coeur`; 0, 0 on the demo.
+const RESEMBLANCE_ODDS: f64 = 0.5;
 
 /// The lowest probability that resemblance can give at even odds: [`RESEMBLANCE_ODDS`] as a probability.
-pub(crate) const LEAST_HINT: f32 = (RESEMBLANCE_ODDS[0] / (1.0 + RESEMBLANCE_ODDS[0])) as f32;
+pub(crate) const LEAST_HINT: f32 = (RESEMBLANCE_ODDS / (1.0 + RESEMBLANCE_ODDS)) as f32;
 
 /// Share of the evidence that a part without a click must hold for its neighbours to follow it (method, section 6.3). By
 /// choice. IoU by half, half more: -.007, 0 on `sacre_coeur`; 0, 0 on the demo.
@@ -201,7 +200,7 @@ impl LabelFusion<'_> {
         let prior = f64::from(self.settings.unseen_prior);
         let mut pooled: Vec<(f64, f64, usize)> = Vec::with_capacity(BINS);
         let chance = |a: f64, b: f64| {
-            let odds = (a / b).clamp(RESEMBLANCE_ODDS[0], RESEMBLANCE_ODDS[1]);
+            let odds = (a / b).max(RESEMBLANCE_ODDS);
             prior * odds / (prior * odds + 1.0 - prior)
         };
         for at in 0..BINS {
