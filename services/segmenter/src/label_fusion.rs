@@ -29,11 +29,6 @@ const BIN_COVERAGE: f64 = 4.0;
 /// By choice. Half and half more changed no measured click.
 const CONNECTED_WEIGHT: f32 = 0.05;
 
-/// Weight `w_s` of belief from which a splat that no mask decides is surrounded by decided ones (method, section 6.5): the
-/// inside of an object needs no resemblance, and few photos see it well enough for a useful feature. By choice. Half and half
-/// more move IoU by less than .0005.
-const SURROUNDED_WEIGHT: f32 = 0.5;
-
 /// How far down resemblance may move the prior from [`SegmentSettings::unseen_prior`], in odds `o_0` (method, section 6.2). The
 /// clicks show one side of an object. How far resemblance to them is to be trusted is learned from the splats that masks
 /// decided. The other side of the object may not resemble them: it must stay open until a photo's own boundaries decide it. By
@@ -239,11 +234,7 @@ impl LabelFusion<'_> {
                         belief.weight >= CONNECTED_WEIGHT
                             && belief.inside > 0.5 * belief.weight
                             && state.probability[i] > 0.5
-                            && passes(match s.similarity_use {
-                                SimilarityUse::Gate | SimilarityUse::Alone => true,
-                                SimilarityUse::Unseen => belief.weight < SURROUNDED_WEIGHT,
-                                SimilarityUse::Off => false,
-                            })
+                            && passes(s.similarity_use != SimilarityUse::Off)
                     }
                 }
             })
