@@ -25,10 +25,6 @@ const BINS: usize = 24;
 /// choice. Half and half more move IoU by less than .0005.
 const BIN_COVERAGE: f64 = 4.0;
 
-/// Least weight `w_c` of belief for a splat that no mask decides to count as connected to decided ones (method, section 6.5).
-/// By choice. Half and half more changed no measured click.
-const CONNECTED_WEIGHT: f32 = 0.05;
-
 /// How far down resemblance may move the prior from [`SegmentSettings::unseen_prior`], in odds `o_0` (method, section 6.2). The
 /// clicks show one side of an object. How far resemblance to them is to be trusted is learned from the splats that masks
 /// decided. The other side of the object may not resemble them: it must stay open until a photo's own boundaries decide it. By
@@ -231,8 +227,7 @@ impl LabelFusion<'_> {
                     None if s.undecided == Undecided::Out => false,
                     None => {
                         let belief = state.beliefs[i];
-                        belief.weight >= CONNECTED_WEIGHT
-                            && belief.inside > 0.5 * belief.weight
+                        belief.inside > 0.5 * belief.weight
                             && state.probability[i] > 0.5
                             && passes(s.similarity_use != SimilarityUse::Off)
                     }
