@@ -5,6 +5,7 @@
 //! admitted.
 
 use std::collections::VecDeque;
+use std::convert::Infallible;
 use std::io;
 use std::net::SocketAddr;
 use std::pin::pin;
@@ -14,7 +15,8 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::extract::ConnectInfo;
-use axum::http::{Request, StatusCode};
+use axum::http::{HeaderValue, Request, StatusCode, header};
+use axum::response::Response;
 use hyper::body::Incoming;
 use hyper::server::conn::{http1, http2};
 use hyper::service::{Service, service_fn};
@@ -155,7 +157,30 @@ fn bounded(mut request: Request<Incoming>, client: SocketAddr) -> Request<TimedB
     request.map(|body| TimedBody::new(body, BODY_TIME))
 }
 
-/// Answers requests by HTTP/1. Without keep-alive nobody holds a connection between two.
+/// Whether an answer refuses its client, or its client's haste.
+fn refuses(answer: &Response) -> bool {
+    [StatusCode::UNAUTHORIZED, StatusCode::FORBIDDEN, StatusCode::TOO_MANY_REQUESTS]
+        .contains(&answer.status())
+}
+
+/// Answers a request. `received` is whether its connection is no silent one: it is none while a request is being answered, nor once
+/// one was not refused.
+async fn answered(
+    routes: TowerToHyperService<Router>,
+    request: Request<Incoming>,
+    client: SocketAddr,
+    received: Arc<AtomicBool>,
+) -> Result<Response, Infallible> {
+    let answered_before = received.swap(true, Ordering::Relaxed);
+    let answer = routes.call(bounded(request, client)).await;
+    if !answered_before && answer.as_ref().is_ok_and(refuses) {
+        received.store(false, Ordering::Relaxed);
+    }
+    answer
+}
+
+/// Answers requests by HTTP/1. Without keep-alive nobody holds a connection between two. A refusal ends its connection: with
+/// one request every few seconds a client without access would never be silent.
 async fn by_http1(
     stream: TcpStream,
     client: SocketAddr,
@@ -165,8 +190,15 @@ async fn by_http1(
 ) -> hyper::Result<()> {
     let routes = TowerToHyperService::new(routes);
     let service = service_fn(move |request: Request<Incoming>| {
-        received.store(true, Ordering::Relaxed);
-        routes.call(bounded(request, client))
+        let answer = answered(routes.clone(), request, client, received.clone());
+        async move {
+            answer.await.map(|mut response| {
+                if refuses(&response) {
+                    response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
+                }
+                response
+            })
+        }
     });
     http1::Builder::new()
         .timer(TokioTimer::new())
@@ -191,22 +223,9 @@ async fn by_http2(
     let (open, requests) = watch::channel(0);
     let open = Arc::new(open);
     let service = service_fn(move |request: Request<Incoming>| {
-        let (answer, received) = (routes.call(bounded(request, client)), received.clone());
+        let answer = answered(routes.clone(), request, client, received.clone());
         let request = OpenRequest::new(&open);
-        async move {
-            // A request that is being answered is no silence.
-            let answered_before = received.swap(true, Ordering::Relaxed);
-            let answer = answer.await;
-            let refused = |code| {
-                let refusals =
-                    [StatusCode::UNAUTHORIZED, StatusCode::FORBIDDEN, StatusCode::TOO_MANY_REQUESTS];
-                refusals.contains(&code)
-            };
-            if !answered_before && answer.as_ref().is_ok_and(|response| refused(response.status())) {
-                received.store(false, Ordering::Relaxed);
-            }
-            answer.map(|response| response.map(|body| CountedBody::new(body, request)))
-        }
+        async move { answer.await.map(|response| response.map(|body| CountedBody::new(body, request))) }
     });
     let connection = http2::Builder::new(TokioExecutor::new())
         .timer(TokioTimer::new())

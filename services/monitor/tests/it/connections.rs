@@ -1,8 +1,11 @@
 //! Clients that only connect, that send a byte at a time, too much, or half of it: the server answers the others, and holds
 //! few sockets for a short time.
 
-use segwild_monitor::connections::{HEAD_BYTES, HEAD_TIME, MOST};
-use segwild_monitor::{Server, serve};
+use axum::Router;
+use axum::http::StatusCode;
+use axum::routing::get;
+use segwild_monitor::connections::{ConnectionLimits, HEAD_BYTES, HEAD_TIME, MOST};
+use segwild_monitor::{Server, serve, start};
 use std::io::{Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpStream};
 use std::sync::mpsc;
@@ -150,4 +153,42 @@ fn a_body_that_never_comes_and_a_second_request_hold_no_connection() {
     let mut stream = connect(at);
     stream.write_all(&b"GET /livez HTTP/1.1\r\nHost: x\r\n\r\n".repeat(2)).expect("it is sent");
     assert_eq!(answer(&mut stream).matches("HTTP/1.1 200").count(), 1);
+}
+
+/// Sends a request and reads the head of its answer; the connection stays open.
+fn head(stream: &mut TcpStream, path: &str) -> String {
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: x\r\n\r\n").expect("it is sent");
+    let mut head = Vec::new();
+    let mut byte = [0];
+    while !head.ends_with(b"\r\n\r\n") && stream.read(&mut byte).expect("it answers") == 1 {
+        head.push(byte[0]);
+    }
+    String::from_utf8_lossy(&head).into_owned()
+}
+
+#[test]
+fn keep_alive_connections_whose_requests_are_refused_lock_nobody_out() {
+    let limits = ConnectionLimits { most: 8, whole_time: None, keep_alive: true, http2: true };
+    let routes = Router::new()
+        .route("/own", get(async || StatusCode::NO_CONTENT))
+        .fallback(async || StatusCode::UNAUTHORIZED);
+    let at = "127.0.0.1:0".parse().expect("an address");
+    let server = start(at, limits, 2, |_| routes).expect("it listens");
+    let at = server.address();
+    let mut kept = connect(at);
+    assert!(head(&mut kept, "/own").starts_with("HTTP/1.1 204"));
+    let mut crowd: Vec<TcpStream> = (1..limits.most).map(|_| connect(at)).collect();
+    for stream in &mut crowd {
+        let refusal = head(stream, "/");
+        assert!(refusal.starts_with("HTTP/1.1 401") && refusal.contains("connection: close"), "{refusal}");
+    }
+    // Nobody of the crowd closes its side.
+    let began = Instant::now();
+    for mut stream in [connect(at), connect(at)] {
+        let response = head(&mut stream, "/own");
+        assert!(response.starts_with("HTTP/1.1 204"), "{response}");
+    }
+    assert!(head(&mut kept, "/own").starts_with("HTTP/1.1 204"), "who has access keeps a connection");
+    assert!(crowd.iter_mut().all(|stream| answer(stream).is_empty()));
+    assert!(began.elapsed() < HEAD_TIME, "they were waited for: {:?}", began.elapsed());
 }
