@@ -350,6 +350,8 @@ export class ScenePane {
         if (view3.arrived < Math.min(view3.n || Infinity, LEAST_SPLATS)) return;
         shown = true;
         done();
+        // The server's frame is the same however many splats are here; a switch back to them renders all that have arrived.
+        if (this.drawer === "server") return;
         if (view3.arrived === view3.n || view3.arrived > GROWN * view3.rendered) this.redraw();
       };
       const arrive = async () => {
