@@ -43,6 +43,12 @@ export class PhotoPane {
     return this.app.description.photos[this.app.photo];
   }
 
+  /** Whether prompts, a listed part or a text are requested: no candidate is shown then. */
+  get requests() {
+    const draft = this.app.state?.draft;
+    return draft !== undefined && (draft.prompts.length > 0 || draft.listed !== null || draft.text !== null);
+  }
+
   /** Shows the app's photo. */
   open() {
     const { camera, name, held_out } = this.photo;
@@ -173,7 +179,7 @@ export class PhotoPane {
   /** Asks for the candidate under the pointer; one request at a time, the newest position counts. */
   async hover() {
     const { app, hovered } = this;
-    if (!hovered || app.tool !== "prompt" || app.transients || !app.state || app.state.draft.prompts.length || app.state.draft.listed !== null || app.state.draft.text !== null) {
+    if (!hovered || app.tool !== "prompt" || app.transients || !app.state || this.requests) {
       return this.clearCandidate();
     }
     if (this.hovering) return;
@@ -269,7 +275,7 @@ export class PhotoPane {
     const { app } = this;
     if (!app.state || !app.shows("photo")) return;
     this.drawPrompts();
-    if (app.state.draft.prompts.length) this.clearCandidate();
+    if (this.requests) this.clearCandidate();
     const { transients } = app, wanted = () => `${app.photo}/${app.state?.revision}/${app.transients}`;
     if (this.labelled === wanted() || this.labelling) return;
     this.labelling = true;
