@@ -5,8 +5,14 @@
 mod toy;
 
 use crate::common::*;
+use segwild_flow::Stopper;
+use segwild_pipeline::{Code, RunFolder};
+use segwild_scene::Prompts;
+use segwild_studio::Studio;
+use segwild_studio::messages::HoverRequest;
 use std::path::Path;
 use std::process::{Command, Output};
+use std::time::{Duration, Instant};
 use toy::{SAM, Takes, ToyDecoder, ToyFault, can_run, decoder, encoder};
 
 #[test]
@@ -61,6 +67,25 @@ fn with_models(models: &Path, args: &[&str]) -> Output {
     command.args(args).env("SEGWILD_MODELS", models).output().expect("the program starts")
 }
 
+/// A network that keeps what it encodes has its turn: the first motion over a photo encodes it, for the masks of the next ones.
+fn hovering_encodes_the_photo(run: &Path, models: &Path, photo: &str, [x, y]: [f32; 2]) {
+    let folder = RunFolder::open(run).expect("a run");
+    let code = Code::given(&[("models".to_owned(), show(models))]);
+    let studio = Studio::open_at(&folder, "run", None, &code, &Stopper::new()).expect("it opens");
+    let session = studio.session();
+    let photo = session.scene().view_named(photo).expect("a photo of the run");
+    let is_encoded = || session.is_prepared(photo).expect("it is read");
+    assert!(session.finds_objects() && session.tree().is_some() && !is_encoded());
+    studio.hover(&HoverRequest { photo, x, y, granularity: None }).expect("it answers");
+    let began = Instant::now();
+    while !is_encoded() {
+        assert!(began.elapsed() < Duration::from_secs(60), "the photo is never encoded");
+        std::thread::park_timeout(Duration::from_millis(5));
+    }
+    let mask = session.prepared_mask(photo, &Prompts::click(1.0, 1.0)).expect("it answers");
+    assert!(mask.is_some());
+}
+
 #[test]
 fn a_scene_tree_is_grown_from_masks_of_sam_and_sam_stays_the_first_answer() {
     if !can_run("a_scene_tree_is_grown_from_masks_of_sam_and_sam_stays_the_first_answer") {
@@ -78,6 +103,7 @@ fn a_scene_tree_is_grown_from_masks_of_sam_and_sam_stays_the_first_answer() {
     };
     let before = tree();
     let (_, click) = clearest();
+    hovering_encodes_the_photo(&run, &models, &click.photo, [click.x, click.y]);
     let at = format!("{},{}", click.x, click.y);
     let alternatives = || {
         let output = with_models(

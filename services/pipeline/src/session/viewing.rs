@@ -124,6 +124,15 @@ impl Session {
         self.providers.segmenter.finds_objects()
     }
 
+    /// Whether the provider has in memory what every mask of a photo needs. One that keeps nothing, such as a vision service, never has.
+    ///
+    /// # Errors
+    /// When the photo cannot be read.
+    pub fn is_prepared(&self, view: usize) -> Result<bool, RunError> {
+        let photo = self.photos.read(view)?;
+        Ok(self.providers.segmenter.is_prepared(&photo.image))
+    }
+
     /// [`Session::candidate_mask`] where the provider has what it needs of the photo in memory; `None` where it has not.
     ///
     /// # Errors

@@ -65,7 +65,7 @@ impl Studio {
     }
 
     /// The mask of a provider that finds objects, if it is there in time. A photo that the provider has not encoded yet is encoded for
-    /// the next ones.
+    /// the next ones. A provider that keeps nothing of it, such as a vision service, is not tried again.
     fn mask_in_time(self: &Arc<Self>, photo: usize, prompts: Prompts) -> Option<Mask> {
         let began = Instant::now();
         if !self.session.finds_objects() || !lock(&self.turns).take(began) {
@@ -81,7 +81,12 @@ impl Studio {
             // Who waited may have gone on without it.
             let _ = send.send(found.ok().flatten());
             if !encoded {
-                turn.studio.session.prepare(photo);
+                let session = &turn.studio.session;
+                session.prepare(photo);
+                // Each motion would only start a thread. A photo that cannot be read says nothing about the provider.
+                if matches!(session.is_prepared(photo), Ok(false)) {
+                    lock(&turn.studio.turns).retire();
+                }
             }
         };
         // Without a thread the turn ends here.

@@ -13,13 +13,15 @@ const REST: Duration = Duration::from_secs(10);
 pub(super) struct ProviderTurns {
     busy: bool,
     resting_until: Option<Instant>,
+    /// Whether it has no further turn.
+    retired: bool,
 }
 
 impl ProviderTurns {
     /// Takes a turn; returns whether there is one.
     pub fn take(&mut self, now: Instant) -> bool {
         let resting = self.resting_until.is_some_and(|until| now < until);
-        let free = !self.busy && !resting;
+        let free = !self.busy && !resting && !self.retired;
         self.busy |= free;
         free
     }
@@ -28,6 +30,11 @@ impl ProviderTurns {
     pub fn end(&mut self, took: Option<Duration>, now: Instant) {
         self.busy = false;
         self.resting_until = took.filter(|took| *took > IN_TIME).map(|_| now + REST);
+    }
+
+    /// Lets the provider rest for good: it keeps nothing of a photo, so that no candidate of its own would ever come.
+    pub fn retire(&mut self) {
+        self.retired = true;
     }
 }
 
@@ -47,5 +54,8 @@ mod tests {
         turns.end(Some(2 * IN_TIME), start);
         assert!(!turns.take(start) && !turns.take(start + REST / 2));
         assert!(turns.take(start + REST) && !turns.take(start + REST));
+        turns.retire();
+        turns.end(None, start + REST);
+        assert!(!turns.take(start + 9 * REST));
     }
 }

@@ -85,6 +85,8 @@ fn a_service_of_the_built_in_provider_answers_as_it_does_here() {
         here.segmenter.refine(&image, &rough).unwrap()
     );
     assert_eq!(there.segmenter.finds_objects(), here.segmenter.finds_objects());
+    there.segmenter.prepare(&image);
+    assert!(!there.segmenter.is_prepared(&image), "nothing of a photo is kept here");
     assert_eq!(
         there.segmenter.boundary_strengths(&image).unwrap(),
         here.segmenter.boundary_strengths(&image).unwrap()
