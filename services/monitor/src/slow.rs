@@ -13,7 +13,9 @@ use tokio::time::Sleep;
 
 type BoxError = Box<dyn std::error::Error + Send + Sync>;
 
-/// A stream that fails once nothing could be written for a time: its client does not read.
+/// A stream that fails once nothing could be written for a time: its client does not read. By HTTP/2 a client that takes nothing of
+/// one answer may read the rest of its connection, which is no failure of the stream: such an answer waits as long as the client is
+/// there.
 pub(crate) struct TimedStream<S> {
     stream: S,
     time: Duration,

@@ -4,7 +4,7 @@ use crate::TrainError;
 use crate::model::Model;
 use glam::Vec3;
 use segwild_objective::background::{Background, add_background};
-use segwild_objective::{AppearanceEmbedding, bake};
+use segwild_objective::{AnyAppearance, AppearanceEmbedding, bake};
 use segwild_raster::{Channels, Projected, Rasterizer};
 use segwild_scene::{Camera, Image, Pose, Splats};
 
@@ -87,6 +87,11 @@ impl Model {
             mix(&mut all, &under(light, colours.clone()), whose, 3);
         }
         all
+    }
+
+    /// Whether any appearance changes the splats' colours.
+    pub fn changes_colours(&self) -> bool {
+        !matches!(self.appearance, AnyAppearance::None(_))
     }
 
     /// The splats with a lighting's colours as their own, for programs without appearance models. See

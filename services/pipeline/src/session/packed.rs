@@ -10,6 +10,7 @@ use segwild_scene::Splats;
 use segwild_segmenter::scene_tree::{NONE, SceneTree};
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Splats of a chunk: whole rows of the page's textures, and less than a mebibyte with harmonics of degree 3.
 const CHUNK: usize = 4096;
@@ -21,8 +22,12 @@ const CHUNK: usize = 4096;
 /// filter, and splats of a chunk. Each further part is a chunk, the last one with what is left: the splats' indices in the scene
 /// (`u32`), then as `f32` all centres (3), opacities in [0, 1] (1), upper triangles of the covariances (6), and colour
 /// coefficients (3 per basis function).
+///
+/// A client may take the parts as slowly as it likes: shapes stay the session's own, and so do colours that no appearance changes.
 pub struct PackedSplats {
-    splats: Splats,
+    splats: Arc<Splats>,
+    /// Colour coefficients in the appearance, as in [`Splats::sh`]; `None` where they are the splats' own.
+    colours: Option<Vec<f32>>,
     antialias: bool,
     /// Indices of the splats, by contribution.
     order: Vec<u32>,
@@ -31,9 +36,14 @@ pub struct PackedSplats {
 }
 
 impl PackedSplats {
-    fn new(splats: Splats, antialias: bool, tree: Option<&SceneTree>) -> PackedSplats {
+    fn new(
+        splats: Arc<Splats>,
+        colours: Option<Vec<f32>>,
+        antialias: bool,
+        tree: Option<&SceneTree>,
+    ) -> PackedSplats {
         let order = by_contribution(&splats, tree);
-        PackedSplats { splats, antialias, order, packed: None }
+        PackedSplats { splats, colours, antialias, order, packed: None }
     }
 }
 
@@ -41,7 +51,9 @@ impl Iterator for PackedSplats {
     type Item = Vec<u8>;
 
     fn next(&mut self) -> Option<Vec<u8>> {
-        let PackedSplats { splats, antialias, order, packed } = self;
+        let PackedSplats { splats, colours, antialias, order, packed } = self;
+        let splats: &Splats = splats;
+        let colours = colours.as_ref().unwrap_or(&splats.sh);
         let Some(first) = *packed else {
             let mut head = Vec::new();
             let antialias = u32::from(*antialias);
@@ -60,7 +72,7 @@ impl Iterator for PackedSplats {
         all().for_each(|i| add_numbers(&mut bytes, &splats.means[i]));
         all().for_each(|i| add_numbers(&mut bytes, &[splats.opacity(i)]));
         all().for_each(|i| add_numbers(&mut bytes, &upper_triangle(splats, i)));
-        all().for_each(|i| add_numbers(&mut bytes, &splats.sh[stride * i..][..stride]));
+        all().for_each(|i| add_numbers(&mut bytes, &colours[stride * i..][..stride]));
         Some(bytes)
     }
 }
@@ -95,7 +107,9 @@ impl Session {
     /// When the photo `appearance` is unknown or took no part in the training.
     pub fn packed_splats(&self, appearance: &BlendedAppearance) -> Result<PackedSplats, RunError> {
         let tree = self.tree().map(|tree| &**tree);
-        Ok(PackedSplats::new(self.in_colour(appearance)?, self.model.antialias, tree))
+        let light = appearance.light(&self.scene, &self.model)?;
+        let colours = self.model.changes_colours().then(|| self.model.baked(&light.into()).sh);
+        Ok(PackedSplats::new(self.splats.clone(), colours, self.model.antialias, tree))
     }
 
     /// What `parts.cut` and `parts.appearances` change of [`Session::packed_splats`], little-endian: numbers of splats with
@@ -184,7 +198,8 @@ mod tests {
     #[test]
     fn parts_come_by_contribution_and_fit_into_a_message() {
         let n = CHUNK + 5;
-        let mut packed = PackedSplats::new(growing(n), true, None);
+        let splats = Arc::new(growing(n));
+        let mut packed = PackedSplats::new(splats.clone(), None, true, None);
         let head = packed.next().unwrap();
         assert_eq!([0, 1, 2, 3].map(|k| number(&head, k)), [n as u32, 1, 1, CHUNK as u32]);
         let chunks: Vec<Vec<u8>> = packed.collect();
@@ -194,6 +209,12 @@ mod tests {
         // The centre and the colour of the second splat of the last chunk.
         let last = |at: usize| f32::from_bits(number(&chunks[1], at));
         assert_eq!((last(5 + 3), last(5 * 11 + 12)), (3.0, 36.0));
+        // The same in an appearance: nothing else differs.
+        let colours = splats.sh.iter().map(|v| -v).collect();
+        let lit: Vec<Vec<u8>> = PackedSplats::new(splats, Some(colours), true, None).skip(1).collect();
+        let before_colours = 4 * 5 * 11;
+        assert_eq!(lit[1][..before_colours], chunks[1][..before_colours]);
+        assert_eq!(f32::from_bits(number(&lit[1], 5 * 11 + 12)), -36.0);
         const { assert!(4 * CHUNK * (11 + 3 * 16) < 1 << 20) };
     }
 }

@@ -19,7 +19,7 @@ use crate::{
 };
 use segwild_flow::{ActorOptions, Cache, Limits, Phase, Sender, Stopper, System, SystemOptions, mailbox};
 use segwild_objective::Engine;
-use segwild_scene::{PhotoStore, Prompts, ReaderError, Scene};
+use segwild_scene::{PhotoStore, Prompts, ReaderError, Scene, Splats};
 use segwild_segmenter::scene_tree::{GroupCandidate, SceneTree};
 use segwild_segmenter::{
     PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask, SplatFeatures,
@@ -60,6 +60,8 @@ pub struct Session {
     /// Its photos, at working size: every click reads all of them, round after round.
     pub(super) photos: Arc<PhotoStore>,
     pub(super) model: Model,
+    /// Its splats, for those that outlast a request or work beside it: the segmenter, and clients that take them slowly.
+    pub(super) splats: Arc<Splats>,
     pub(super) engine: Arc<dyn Engine>,
     pub(super) providers: Providers,
     /// Key of the training.
@@ -157,12 +159,13 @@ impl Session {
         let splats = Arc::new(model.splats.clone());
         let (options, segmenter) = (model.options(), providers.segmenter.clone());
         let engine_of_actor = engine.clone();
+        let splats_of_actor = splats.clone();
         let tree_of_actor = tree.as_ref().map(|keyed| keyed.tree.clone());
         system.spawn(inbox, ActorOptions { attempts: 1, ..ActorOptions::default() }, move || {
             Ok(SegmentActor {
                 engine: engine_of_actor.clone(),
                 options,
-                splats: splats.clone(),
+                splats: splats_of_actor.clone(),
                 views: views.clone(),
                 barred: barred.clone(),
                 features: features.clone(),
@@ -183,6 +186,7 @@ impl Session {
             scene,
             photos,
             model,
+            splats,
             engine,
             providers,
             training,

@@ -249,7 +249,7 @@ impl Session {
     }
 
     /// The splats with the colours of an appearance.
-    pub(super) fn in_colour(&self, appearance: &BlendedAppearance) -> Result<Splats, RunError> {
+    fn in_colour(&self, appearance: &BlendedAppearance) -> Result<Splats, RunError> {
         Ok(self.model.baked(&appearance.light(&self.scene, &self.model)?.into()))
     }
 
