@@ -175,7 +175,7 @@ impl Session {
                 segmenter: segmenter.clone(),
                 tree: tree_of_actor.clone(),
                 graph: None,
-                shown: ViewSplats::new(splats.len(), views.len()),
+                shown: ViewSplats::new(splats_of_actor.len(), views.len()),
             })
         })?;
         let files = ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()));
