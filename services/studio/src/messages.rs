@@ -437,7 +437,7 @@ pub struct AnswerMessage {
     pub seconds: f64,
     /// How sure the answer is; `null` until it is done.
     pub confidence: Option<ConfidenceMessage>,
-    /// How likely the text describes each alternative rather than any object, 0 to 1; empty without a text.
+    /// Score of each alternative, 0 to 1: it compares matches of one text. Empty without a text.
     pub scores: Vec<f32>,
 }
 

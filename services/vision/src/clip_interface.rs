@@ -20,6 +20,8 @@ const TEXT_EMBEDDINGS: &[&str] = &["text_embeds", "text_embeddings"];
 
 /// Sides of an image that an encoder may fix, in pixels.
 pub(crate) const SIDES: RangeInclusive<usize> = 16..=1024;
+/// Numbers of an embedding at most; CLIP has 512 to 1024.
+pub(crate) const MOST_DIMS: usize = 8192;
 /// Tokens of a text that an encoder may fix: its start, its end and at least one more.
 const LENGTHS: RangeInclusive<usize> = 3..=1024;
 

@@ -47,7 +47,10 @@ pub enum VisionError {
     },
     /// Nothing embeds texts.
     #[error(
-        "no model of texts is here{found}. Put the two encoders of a CLIP model as ONNX files and their tokenizer          (`vision_model.onnx`, `text_model.onnx`, `tokenizer.json`) into the folder of `--models`: Hugging Face has exports, such as          Xenova/clip-vit-base-patch32, and `optimum-cli export onnx` makes them of other CLIP models. Check the licence of the          weights. `segwild doctor --models FOLDER` lists what a folder has"
+        "no model of texts is here{found}. Put the two encoders of a CLIP model as ONNX files and their tokenizer \
+         (`vision_model.onnx`, `text_model.onnx`, `tokenizer.json`) into the folder of `--models`: Hugging Face has exports, such as \
+         Xenova/clip-vit-base-patch32, and `optimum-cli export onnx` makes them of other CLIP models. Check the licence of the \
+         weights. `segwild doctor --models FOLDER` lists what a folder has"
     )]
     NoTexts {
         /// What is there and not used, in brackets after a space; empty where nothing is.

@@ -165,7 +165,9 @@ fn a_text_selects_what_it_describes_and_its_alternatives_are_the_next_best() {
         std::fs::read(run.join("selections").join(name).join("object.ply")).expect("it is there")
     };
     assert!(object("it") == object("again"));
-    let all = ["segment", &run_text, "--text", "all blue", "--name", "other", "--alternative", "1"];
+    // Every match of the list can be selected.
+    let last = (matches.len() - 1).to_string();
+    let all = ["segment", &run_text, "--text", "all blue", "--name", "other", "--alternative", &last];
     let shown = works(&[&all[..], &models_flag].concat());
     assert!(shown.contains("`all blue` is "), "{shown}");
     assert!(object("it") != object("other"));

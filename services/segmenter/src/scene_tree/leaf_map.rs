@@ -1,9 +1,9 @@
 //! Which leaf of the scene tree each pixel of a view shows: the pixels of every group of the tree, nested or not.
 
-use super::parts::MIN_PART_ALPHA;
+use super::front_values::front_values;
 use super::{GroupCandidate, NONE, SceneTree};
 use crate::PosedView;
-use segwild_raster::{CpuEngine, ProjectOptions, RasterError};
+use segwild_raster::{ProjectOptions, RasterError};
 use segwild_scene::{Mask, Splats};
 
 /// The leaf that each pixel of a view shows.
@@ -37,16 +37,10 @@ impl LeafMap {
         view: &PosedView,
         tree: &SceneTree,
     ) -> Result<LeafMap, RasterError> {
-        let front = CpuEngine::default().front(splats, &view.camera, &view.pose, options)?;
-        let leaf = |(&splat, &alpha): (&u32, &f32)| match tree.leaf.get(splat as usize) {
-            Some(&leaf) if alpha >= MIN_PART_ALPHA => leaf,
-            _ => NONE,
-        };
-        Ok(LeafMap {
-            width: front.width,
-            height: front.height,
-            leaves: front.splats.iter().zip(&front.alpha.data).map(leaf).collect(),
-        })
+        let leaf =
+            |splat: Option<usize>| splat.and_then(|splat| tree.leaf.get(splat)).copied().unwrap_or(NONE);
+        let front = front_values(splats, options, view, leaf)?;
+        Ok(LeafMap { width: front.width, height: front.height, leaves: front.values })
     }
 
     /// Takes pixels out: those of a mask of any size that covers the view edge to edge.

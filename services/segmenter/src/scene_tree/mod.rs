@@ -9,6 +9,7 @@
 mod boundaries;
 mod corrections;
 mod describable;
+mod front_values;
 mod graph;
 mod growth;
 mod leaf_map;

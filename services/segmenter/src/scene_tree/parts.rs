@@ -1,11 +1,12 @@
 //! The parts of a scene: groups of the scene tree that do not overlap, without a click.
 
+use super::front_values::front_values;
 use super::query::{MIN_AREA, SCENE_AREA, expected};
 use super::tree::{Growth, TREES};
 use super::{GroupCandidate, GroupTree, NONE, SceneTree};
 use crate::PosedView;
 use crate::seen_once::leave_out_of_parts;
-use segwild_raster::{CpuEngine, ProjectOptions, RasterError};
+use segwild_raster::{ProjectOptions, RasterError};
 use segwild_scene::{Mask, Splats};
 
 /// Parts that a scene is listed as, at most: file formats hold their numbers as bytes.
@@ -16,9 +17,6 @@ const MAX_SHARED: f32 = 0.1;
 
 /// Least expected IoU of a part with a thing (method, section 13). By choice; for the list alone.
 const MIN_EXPECTED_IOU: f32 = 0.25;
-
-/// Accumulated alpha `A` under which a pixel shows no part (method, section 13). By choice; for the list alone.
-pub(super) const MIN_PART_ALPHA: f32 = 0.5;
 
 /// The parts of a scene, the likeliest things first. They are numbered from 1.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -62,20 +60,16 @@ impl PartMap {
         view: &PosedView,
         parts: &SceneParts,
     ) -> Result<PartMap, RasterError> {
-        let front = CpuEngine::default().front(splats, &view.camera, &view.pose, options)?;
-        let label = |(&splat, &alpha): (&u32, &f32)| match parts.labels.get(splat as usize) {
-            Some(&label) if alpha >= MIN_PART_ALPHA => label,
-            _ => 0,
+        let of_splat = |splat: Option<usize>| {
+            let label = splat.and_then(|splat| parts.labels.get(splat)).copied().unwrap_or(0);
+            (label, splat.and_then(|splat| parts.seen_once.get(splat)) == Some(&true))
         };
-        let pixels = || front.splats.iter().zip(&front.alpha.data);
-        let once = |&(&splat, &alpha): &(&u32, &f32)| {
-            alpha >= MIN_PART_ALPHA && parts.seen_once.get(splat as usize) == Some(&true)
-        };
+        let front = front_values(splats, options, view, of_splat)?;
         Ok(PartMap {
             width: front.width,
             height: front.height,
-            labels: pixels().map(label).collect(),
-            seen_once: pixels().filter(once).count(),
+            seen_once: front.values.iter().filter(|(_, once)| *once).count(),
+            labels: front.values.into_iter().map(|(label, _)| label).collect(),
         })
     }
 

@@ -3,7 +3,7 @@
 use super::state::{LOST, Studio, StudioError, StudioState};
 use crate::document::{JournalEntry, ObjectDraft, ObjectId, Operation, StoredSelection};
 use crate::messages::{ShownPrompts, StudioAction};
-use segwild_pipeline::{BlendedAppearance, PhotoPrompts, Selected};
+use segwild_pipeline::{BlendedAppearance, PhotoPrompts, Selected, TextRanking};
 use segwild_segmenter::NeighbourGraph;
 use std::sync::Arc;
 
@@ -15,9 +15,6 @@ const MOST_STEPS: i32 = 32;
 
 /// Prompts of one query at most.
 const MOST_PROMPTS: usize = 256;
-
-/// Characters of a query's text at most.
-const LONGEST_TEXT: usize = 300;
 
 /// Characters of a text that names the object that it described, at most.
 const LONGEST_TEXT_AS_NAME: usize = 40;
@@ -41,12 +38,11 @@ impl Studio {
             }
             StudioAction::Text { text, alternative } => {
                 let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
-                if text.chars().count() > LONGEST_TEXT || text.chars().any(char::is_control) {
-                    return Err(StudioError::Request(
-                        "a text has 300 characters at most, and none that controls a terminal",
-                    ));
+                if text.chars().any(char::is_control) {
+                    return Err(StudioError::Request("a text has no characters that control a terminal"));
                 }
                 let text = Some(text).filter(|text| !text.is_empty());
+                text.as_deref().map(TextRanking::check).transpose()?;
                 Operation::Draft { draft: ObjectDraft { text, alternative, ..ObjectDraft::default() } }
             }
             StudioAction::Listed { number } => {

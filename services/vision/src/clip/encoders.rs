@@ -4,7 +4,7 @@ use super::scaling::ClipScaling;
 use super::tokenizer::ClipTokenizer;
 use crate::clip_file_error::{ClipFileError, TokenizerError};
 use crate::clip_files::{ClipFiles, TokenizerFiles};
-use crate::clip_interface::{ClipInterface, ImageInterface, TextInterface};
+use crate::clip_interface::{ClipInterface, ImageInterface, MOST_DIMS, TextInterface};
 use crate::model_file::TensorSpec;
 use crate::onnx::{NetworkDevice, NetworkModel, NetworkOutput, Options, Runtime, floats};
 use crate::{VisionError, VisionSettings};
@@ -20,8 +20,6 @@ const VERSION: &str = "clip-1";
 const IMAGES_AT_ONCE: usize = 8;
 /// Tokens of a text where the file leaves them open: CLIP's positions.
 const CONTEXT: usize = 77;
-/// Numbers of an embedding at most; CLIP has 512 to 1024.
-const MOST_DIMS: usize = 8192;
 /// Most bytes of a tokenizer's file, and of one that says how images are scaled. CLIP's tokenizers have 1 to 4 MiB.
 const MOST_BYTES: u64 = 64 << 20;
 
@@ -41,8 +39,8 @@ pub(super) struct ClipEncoders {
     key: String,
 }
 
-/// Whole numbers as an input of a network.
-fn wholes(
+/// Integers as an input of a network.
+fn integers(
     kind: Option<TensorElementType>,
     shape: [usize; 2],
     data: &[i64],
@@ -232,10 +230,10 @@ impl ClipEncoders {
         let count = vec![1; tokens.len()];
         let ids = fill(tokens.into_iter().map(i64::from).collect(), i64::from(self.tokenizer.filler()));
         let shape = [1, length];
-        let ids = wholes(interface.ids.kind, shape, &ids).map_err(failed)?;
+        let ids = integers(interface.ids.kind, shape, &ids).map_err(failed)?;
         let mut inputs = vec![(interface.ids.name.as_str(), ids)];
         if let Some(attention) = &interface.attention {
-            let counted = wholes(attention.kind, shape, &fill(count, 0)).map_err(failed)?;
+            let counted = integers(attention.kind, shape, &fill(count, 0)).map_err(failed)?;
             inputs.push((attention.name.as_str(), counted));
         }
         Ok(inputs)

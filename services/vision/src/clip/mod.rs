@@ -9,3 +9,4 @@ mod scaling;
 mod tokenizer;
 
 pub(crate) use choice::find_clip;
+pub use scaling::CLIP_MEAN;

@@ -9,9 +9,11 @@ use serde_json::Value;
 
 /// Side of CLIP's images where neither the network nor a file beside it says, in pixels.
 const SIDE: usize = 224;
-/// Mean and standard deviation per channel of CLIP's training images (`clip/clip.py` of the published code).
-const CLIP: [(f32, f32); 3] =
-    [(0.481_454_66, 0.268_629_54), (0.457_827_5, 0.261_302_6), (0.408_210_73, 0.275_777_1)];
+/// Mean per channel of CLIP's training images, sRGB in [0, 1] (`clip/clip.py` of the published code). Pixels of this colour are 0
+/// after standardisation.
+pub const CLIP_MEAN: [f32; 3] = [0.481_454_66, 0.457_827_5, 0.408_210_73];
+/// Standard deviation per channel of these images.
+const CLIP_DEVIATION: [f32; 3] = [0.268_629_54, 0.261_302_6, 0.275_777_1];
 
 /// How images are scaled.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,7 +26,8 @@ pub(super) struct ClipScaling {
 
 impl Default for ClipScaling {
     fn default() -> ClipScaling {
-        ClipScaling { side: SIDE, channels: CLIP }
+        let channels = std::array::from_fn(|c| (CLIP_MEAN[c], CLIP_DEVIATION[c]));
+        ClipScaling { side: SIDE, channels }
     }
 }
 

@@ -251,8 +251,6 @@ pub(crate) fn position([x, y]: [f32; 2]) -> v1::Position {
 pub(crate) const MOST_EMBEDDED: usize = 64;
 /// Characters of a text at most.
 const MOST_CHARACTERS: usize = 1024;
-/// Numbers of an embedding at most.
-const MOST_DIMS: usize = 8192;
 
 /// Refuses more texts or crops than one call may have.
 pub(crate) fn few_embedded(count: usize) -> Read<()> {

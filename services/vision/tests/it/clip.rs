@@ -107,6 +107,7 @@ fn files_of_clip_are_known_by_their_inputs_and_say_what_is_missing() {
     let words = |name: &str| usage(name).to_string();
     let refusal = || providers(at).text_embedder().map(|_| ()).unwrap_err().to_string();
     let none = refusal();
+    assert!(!none.contains("  "), "`{none}` has runs of spaces");
     for word in ["vision_model.onnx", "tokenizer.json", "Xenova/clip-vit-base-patch32", "licence"] {
         assert!(none.contains(word), "`{none}` does not say `{word}`");
     }

@@ -18,10 +18,16 @@ const FOLDER: &str = "objects";
 const FILES: [&str; 2] = ["objects.json", "sheet.png"];
 
 /// Pixels of a photo at working size that an object must cover to show there.
-const SHOWS: u32 = 24;
+pub(crate) const SHOWS: u32 = 24;
 
-/// An object that a photo's frame cuts off counts as so much smaller there: thumbnails are to show whole objects.
+/// An object that a photo's frame cuts off counts as so much smaller there: thumbnails and crops are to show whole objects.
 const CUT_OFF: u32 = 4;
+
+/// Pixels of an object that count when the photo that shows it best is searched for: `all` that show it, `on_frame` those of them on
+/// the photo's frame.
+pub(crate) fn whole_pixels(all: u32, on_frame: u32) -> u32 {
+    if on_frame * on_frame > all { all / CUT_OFF } else { all }
+}
 
 /// An object of a scene, found without a click.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -233,7 +239,7 @@ impl ListRequest<'_> {
             let (counts, rims) = (map.counts(), map.counts_on_frame());
             for ((shown, count), rim) in shown.iter_mut().zip(counts).zip(rims) {
                 shown.photos += usize::from(count >= SHOWS);
-                let whole = if rim * rim > count { count / CUT_OFF } else { count };
+                let whole = whole_pixels(count, rim);
                 if whole > shown.best {
                     (shown.best, shown.view) = (whole, view);
                 }

@@ -10,5 +10,5 @@ mod sheet;
 pub(crate) use bounds::bounds;
 pub use export::ExportedObjects;
 pub(crate) use export::{coco_masks, write_objects};
-pub(crate) use list::ListRequest;
+pub(crate) use list::{ListRequest, SHOWS, whole_pixels};
 pub use list::{ListedObjects, ObjectList, SceneObject, SeenOnceShare};

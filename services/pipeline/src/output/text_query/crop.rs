@@ -2,17 +2,17 @@
 
 use crate::output::objects::bounds;
 use segwild_scene::{Image, Mask};
+use segwild_vision::CLIP_MEAN;
 
-/// Share of a group's size that is shown around it. By choice.
+/// Share of a group's size that is shown around it (docs/method.md, section 13.1). By choice.
 const AROUND: f32 = 0.15;
-/// Share of its own colour that is left to what is not the group: enough to tell where it stands. By choice.
+/// Share of its own colour that is left to what is not the group: enough to tell where it stands (section 13.1). By choice.
 const SURROUNDINGS: f32 = 0.2;
-/// Mean colour of CLIP's training images, sRGB: what has it tells the network nothing.
-const MEAN: [f32; 3] = [0.481_454_66, 0.457_827_5, 0.408_210_73];
 /// Side of a crop at most, in pixels: the largest that published CLIP models take.
 const MOST_SIDE: usize = 336;
 
-/// The square of a photo around a mask, faded to the mean colour where it is not the mask. `None` where the mask is empty.
+/// The square of a photo around a mask, faded to the mean colour of CLIP's training images where it is not the mask: pixels
+/// of this colour are 0 after standardisation. `None` where the mask is empty.
 pub(super) fn crop(photo: &Image, mask: &Mask) -> Option<Image> {
     if photo.channels < 3 {
         return None;
@@ -35,7 +35,7 @@ pub(super) fn crop(photo: &Image, mask: &Mask) -> Option<Image> {
                     false => 0.0,
                 };
                 let colour = if inside { photo.at(c, u as usize, v as usize) } else { 0.0 };
-                crop.data[(c * side + y) * side + x] = own * colour + (1.0 - own) * MEAN[c];
+                crop.data[(c * side + y) * side + x] = own * colour + (1.0 - own) * CLIP_MEAN[c];
             }
         }
     }
@@ -55,8 +55,14 @@ mod tests {
         let near = |a: f32, b: f32| (a - b).abs() < 1e-5;
         // Its middle is that of the mask, (70, 5), so that its upper part and its right rim lie outside of the photo.
         assert!(near(shown.at(0, 13, 13), 0.9), "the group");
-        assert!(near(shown.at(0, 13, 2), MEAN[0]) && near(shown.at(2, 25, 13), MEAN[2]), "no photo");
-        assert!(near(shown.at(1, 13, 24), SURROUNDINGS * 0.9 + (1.0 - SURROUNDINGS) * MEAN[1]), "around it");
+        assert!(
+            near(shown.at(0, 13, 2), CLIP_MEAN[0]) && near(shown.at(2, 25, 13), CLIP_MEAN[2]),
+            "no photo"
+        );
+        assert!(
+            near(shown.at(1, 13, 24), SURROUNDINGS * 0.9 + (1.0 - SURROUNDINGS) * CLIP_MEAN[1]),
+            "around it"
+        );
         assert_eq!(crop(&photo, &Mask::empty(80, 60)), None);
         let large = crop(&Image::filled(1000, 800, 3, 0.5), &Mask::full(1000, 800)).unwrap();
         assert_eq!((large.width, large.height), (MOST_SIDE, MOST_SIDE));

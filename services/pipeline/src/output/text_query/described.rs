@@ -2,7 +2,7 @@
 
 use super::crop::crop;
 use crate::RunError;
-use crate::output::objects::ListRequest;
+use crate::output::objects::{ListRequest, SHOWS, whole_pixels};
 use segwild_flow::{Cache, Key, Phase, Stopper};
 use segwild_scene::{Image, Mask};
 use segwild_segmenter::scene_tree::{GroupCandidate, LeafMap, SceneTree, ShownPixels};
@@ -17,10 +17,6 @@ const FORMAT: u32 = 1;
 
 /// Photos per group at most. By choice: more of them show the same.
 const MOST_PHOTOS: usize = 3;
-/// Pixels of a photo at working size that a group must cover to be cropped from it. By choice, as for lists of objects.
-const SHOWS: u32 = 24;
-/// A group that a photo's frame cuts off counts as so much smaller there: a crop is to show all of it.
-const CUT_OFF: u32 = 4;
 /// Crops in memory together.
 const AT_ONCE: usize = 16;
 
@@ -168,7 +164,7 @@ impl DescribeRequest<'_> {
             }
             let shown = self.map(view)?.shown(self.scene.tree, groups);
             for (best, ShownPixels { all, on_frame }) in best.iter_mut().zip(shown) {
-                let whole = if on_frame * on_frame > all { all / CUT_OFF } else { all };
+                let whole = whole_pixels(all, on_frame);
                 if whole >= SHOWS {
                     best.push((whole, view));
                 }

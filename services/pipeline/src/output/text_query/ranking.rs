@@ -114,7 +114,7 @@ impl TextRanking {
     ///
     /// # Errors
     /// When it is empty or too long.
-    pub(crate) fn check(text: &str) -> Result<(), RunError> {
+    pub fn check(text: &str) -> Result<(), RunError> {
         TextQuery::of(text).map(drop)
     }
 
