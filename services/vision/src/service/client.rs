@@ -114,9 +114,7 @@ impl RemoteVision {
 
     /// What a run records of them, as of a network file.
     pub(crate) fn as_network_file(&self) -> NetworkFile {
-        // Texts take no part in a run.
-        let of_run = self.pool.described.keys.iter().filter(|(of, _)| **of != Capability::EmbedText);
-        let keys = of_run.fold(String::new(), |all, (_, key)| all + key + "\n");
+        let keys = self.pool.described.models_of_run().fold(String::new(), |all, (_, key)| all + key + "\n");
         let hash = blake3::hash(keys.as_bytes()).to_hex()[..16].to_owned();
         let addresses: Vec<String> =
             self.pool.members.iter().map(|member| member.address.to_string()).collect();
@@ -143,6 +141,33 @@ impl RemoteVision {
         T: Send + 'static,
         F: Future<Output = Result<T, CallError>> + Send,
     {
+        self.call_with(None, priority, images, operation)
+    }
+
+    /// As [`RemoteVision::call`], where the service must have the model of texts.
+    fn call_texts<T, F>(
+        &self,
+        images: &[&Image],
+        operation: impl Fn(Client, Vec<String>) -> F + Send + Sync + 'static,
+    ) -> Result<T, VisionError>
+    where
+        T: Send + 'static,
+        F: Future<Output = Result<T, CallError>> + Send,
+    {
+        self.call_with(self.pool.described.texts().cloned(), Priority::Click, images, operation)
+    }
+
+    fn call_with<T, F>(
+        &self,
+        texts: Option<String>,
+        priority: Priority,
+        images: &[&Image],
+        operation: impl Fn(Client, Vec<String>) -> F + Send + Sync + 'static,
+    ) -> Result<T, VisionError>
+    where
+        T: Send + 'static,
+        F: Future<Output = Result<T, CallError>> + Send,
+    {
         let format = self.pool.described.format;
         let images: Vec<Arc<NamedImage>> = images
             .iter()
@@ -156,9 +181,14 @@ impl RemoteVision {
         let operation = Arc::new(operation);
         let answer = async move {
             pool.clone()
-                .call(priority, move |client| {
+                .call(priority, texts.clone(), move |client| {
                     let (images, operation, pool) = (images.clone(), operation.clone(), pool.clone());
+                    let texts = texts.clone();
                     async move {
+                        // A service that was started again may have another one.
+                        if texts.is_some() && described(client.clone()).await?.0.texts() != texts.as_ref() {
+                            return Err(CallError::OtherTexts);
+                        }
                         let hashes =
                             || images.iter().map(|image| image.hash().to_owned()).collect::<Vec<_>>();
                         for _ in 0..PUTS {
@@ -167,7 +197,7 @@ impl RemoteVision {
                                 answer => return answer,
                             }
                             // A service that was started again holds no image: it may have become another one.
-                            if described(client.clone()).await?.0 != pool.described {
+                            if !described(client.clone()).await?.0.serves_as(&pool.described) {
                                 return Err(CallError::Changed);
                             }
                             for image in &images {
@@ -344,7 +374,7 @@ impl TextEmbedder for RemoteVision {
         let mut found = Vec::with_capacity(images.len());
         for some in images.chunks(MOST_EMBEDDED) {
             let (count, some) = (some.len(), some.iter().collect::<Vec<_>>());
-            found.extend(self.call(Priority::Click, &some, move |mut client, hashes| async move {
+            found.extend(self.call_texts(&some, move |mut client, hashes| async move {
                 let request = v1::EmbedCropsRequest { images: hashes };
                 Ok(wire::vectors_of(client.embed_crops(request).await?.into_inner().vectors, count)?)
             })?);
@@ -358,7 +388,7 @@ impl TextEmbedder for RemoteVision {
             let request = v1::EmbedTextRequest { texts: some.to_vec() };
             let count = some.len();
             found.extend(
-                self.call(Priority::Click, &[], move |mut client, _| {
+                self.call_texts(&[], move |mut client, _| {
                     let request = request.clone();
                     async move {
                         Ok(wire::vectors_of(client.embed_text(request).await?.into_inner().vectors, count)?)

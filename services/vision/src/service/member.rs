@@ -58,6 +58,24 @@ pub(super) struct Described {
     pub sky_uses_points: bool,
 }
 
+impl Described {
+    /// Key of the model of texts; `None` where it has none.
+    pub fn texts(&self) -> Option<&String> {
+        self.keys.get(&Capability::EmbedText)
+    }
+
+    /// Models of a run, and their keys: texts take no part in one.
+    pub fn models_of_run(&self) -> impl Iterator<Item = (&Capability, &String)> {
+        self.keys.iter().filter(|(capability, _)| **capability != Capability::EmbedText)
+    }
+
+    /// Whether a run may use both.
+    pub fn serves_as(&self, other: &Described) -> bool {
+        (&self.name, self.format, self.sky_uses_points) == (&other.name, other.format, other.sky_uses_points)
+            && self.models_of_run().eq(other.models_of_run())
+    }
+}
+
 /// What is known of a service.
 #[derive(Clone, Debug, Default)]
 struct Health {
@@ -69,6 +87,8 @@ struct Health {
     unknown: bool,
     /// Whether somebody asks it to.
     waited_for: bool,
+    /// Key of its model of texts, when it described itself last.
+    texts: Option<String>,
     /// Why it is not used any more.
     left_out: Option<String>,
     last: String,
@@ -134,7 +154,18 @@ impl Member {
     pub async fn describe(&self) -> Result<Described, Status> {
         let (described, calls) = described(self.client()).await?;
         self.slots.get_or_init(|| Arc::new(Semaphore::new(calls)));
+        self.health().texts = described.texts().cloned();
         Ok(described)
+    }
+
+    /// Whether it has the model that a call needs: one of texts with this key, or those of a run.
+    pub fn has(&self, texts: Option<&str>) -> bool {
+        texts.is_none_or(|key| self.health().texts.as_deref() == Some(key))
+    }
+
+    /// Texts are not sent there until it describes itself again.
+    pub fn has_other_texts(&self) {
+        self.health().texts = None;
     }
 
     /// Its slots, if it may be called now.
@@ -234,6 +265,22 @@ pub(super) fn plain(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_service_without_texts_takes_part_in_a_run_beside_one_that_has_them() {
+        let described = |models: &[(Capability, &str)]| Described {
+            name: "sam".into(),
+            keys: models.iter().map(|(capability, key)| (*capability, (*key).to_owned())).collect(),
+            format: PixelFormat::U8,
+            sky_uses_points: false,
+        };
+        let plain = described(&[(Capability::FindSky, "a")]);
+        let with_texts = described(&[(Capability::FindSky, "a"), (Capability::EmbedText, "clip")]);
+        assert!(plain.serves_as(&with_texts) && with_texts.serves_as(&plain));
+        assert_eq!((plain.texts(), with_texts.texts().map(String::as_str)), (None, Some("clip")));
+        assert!(!plain.serves_as(&described(&[(Capability::FindSky, "b")])));
+        assert!(!plain.serves_as(&described(&[(Capability::FindSky, "a"), (Capability::Embed, "a")])));
+    }
 
     #[test]
     fn a_service_rests_for_a_part_of_the_time_since_it_failed_however_many_calls_did() {

@@ -5,6 +5,7 @@ use super::queue::{CallQueue, Priority, Ticket};
 use super::wire::MessageError;
 use crate::service_error::ServiceError;
 use crate::service_tls::innermost;
+use segwild_proto::v1::Capability;
 use std::error::Error;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -61,6 +62,8 @@ pub(super) enum CallError {
     Message(MessageError),
     /// It has other models than before.
     Changed,
+    /// It has another model of texts than the call needs, or none.
+    OtherTexts,
 }
 
 impl From<Status> for CallError {
@@ -123,6 +126,7 @@ impl ServicePool {
             let answers =
                 futures_util::future::join_all(members.iter().map(|member| member.describe())).await;
             let mut first: Option<(&Arc<Member>, Described)> = None;
+            let mut texts: Option<String> = None;
             for (member, answer) in members.iter().zip(answers) {
                 match answer {
                     Err(status) if matches!(verdict(&status), Verdict::Unknown | Verdict::Refused) => {
@@ -131,8 +135,10 @@ impl ServicePool {
                     Err(status) => _ = member.fails(&words(&status)),
                     Ok(described) => {
                         member.answers();
+                        // Not each has a model of texts: the first one's key counts.
+                        texts = texts.or_else(|| described.texts().cloned());
                         match &first {
-                            Some((other, known)) if *known != described => {
+                            Some((other, known)) if !known.serves_as(&described) => {
                                 return Err(ServiceError::Differ {
                                     one: other.address.clone(),
                                     other: member.address.clone(),
@@ -144,7 +150,8 @@ impl ServicePool {
                     }
                 }
             }
-            if let Some((_, described)) = first {
+            if let Some((_, mut described)) = first {
+                described.keys.extend(texts.map(|key| (Capability::EmbedText, key)));
                 let pool = Arc::new(ServicePool { described, terms, queue: CallQueue::default(), members });
                 let unknown = pool.members.iter().filter(|member| member.is_unknown());
                 unknown.for_each(|member| pool.wait_for(member));
@@ -165,14 +172,15 @@ impl ServicePool {
 
     /// A service with a free slot, the one with most of them first; waits until it is the call's turn. `None` when no service may
     /// be called now.
-    async fn slot(&self, ticket: Ticket) -> Option<(&Arc<Member>, Slot<'_>)> {
-        self.queue.turn(ticket, POLL_INTERVAL, || self.free_slot()).await
+    async fn slot(&self, ticket: Ticket, texts: Option<&str>) -> Option<(&Arc<Member>, Slot<'_>)> {
+        self.queue.turn(ticket, POLL_INTERVAL, || self.free_slot(texts)).await
     }
 
-    fn free_slot(&self) -> ControlFlow<Option<(&Arc<Member>, Slot<'_>)>> {
+    fn free_slot(&self, texts: Option<&str>) -> ControlFlow<Option<(&Arc<Member>, Slot<'_>)>> {
         let now = Instant::now();
+        let members = self.members.iter().filter(|member| member.has(texts));
         let mut with_slots: Vec<_> =
-            self.members.iter().filter_map(|member| Some((member, member.slots(now)?))).collect();
+            members.filter_map(|member| Some((member, member.slots(now)?))).collect();
         if with_slots.is_empty() {
             return ControlFlow::Break(None);
         }
@@ -187,10 +195,11 @@ impl ServicePool {
     }
 
     /// Calls a service; another one, or the same one later, where it fails. An answer depends on the call alone, so that a call
-    /// may be repeated.
+    /// may be repeated. `texts`: key of the model of texts that the call needs, if it needs one.
     pub async fn call<T, F>(
         self: Arc<ServicePool>,
         priority: Priority,
+        texts: Option<String>,
         operation: impl Fn(Client) -> F,
     ) -> Result<T, ServiceError>
     where
@@ -199,11 +208,11 @@ impl ServicePool {
         let ticket = self.queue.ticket(priority, Instant::now());
         let (mut attempts, mut since) = (0, None::<Instant>);
         loop {
-            let Some((member, _slot)) = self.slot(ticket).await else {
+            let Some((member, _slot)) = self.slot(ticket, texts.as_deref()).await else {
                 let since = *since.get_or_insert_with(Instant::now);
-                if since.elapsed() > self.terms.patience
-                    || self.members.iter().all(|member| member.is_left_out())
-                {
+                // Those without its model are left out as far as this call goes.
+                let left_out = |member: &Arc<Member>| member.is_left_out() || !member.has(texts.as_deref());
+                if since.elapsed() > self.terms.patience || self.members.iter().all(left_out) {
                     return Err(gone(&self.members, self.terms.patience));
                 }
                 tokio::time::sleep(POLL_INTERVAL).await;
@@ -227,6 +236,10 @@ impl ServicePool {
                 }
                 Err(CallError::Changed) => {
                     leave_out(member);
+                    continue;
+                }
+                Err(CallError::OtherTexts) => {
+                    member.has_other_texts();
                     continue;
                 }
                 Err(CallError::Status(status)) => status,
@@ -271,7 +284,7 @@ impl ServicePool {
                 let answer = member.describe().await;
                 let Some(pool) = pool.upgrade() else { return };
                 match answer {
-                    Ok(described) if described == pool.described => {
+                    Ok(described) if described.serves_as(&pool.described) => {
                         if member.answers() {
                             tracing::warn!("{} answers again", member.address);
                         }
