@@ -25,6 +25,9 @@ pub(crate) enum TokenizerFiles {
     Parts { vocabulary: PathBuf, merges: PathBuf },
 }
 
+/// The name of the file that says how images are scaled.
+const SCALING: &str = "preprocessor_config.json";
+
 /// The usual name of a tokenizer's file, for messages.
 pub(crate) const TOKENIZER: &str = "tokenizer.json";
 
@@ -46,5 +49,12 @@ pub(crate) fn tokenizer_of(folder: &Path, stem: &str) -> Option<TokenizerFiles> 
 
 /// How the model with this stem wants images.
 pub(crate) fn scaling_of(folder: &Path, stem: &str) -> Option<PathBuf> {
-    beside(folder, stem, "preprocessor_config.json")
+    beside(folder, stem, SCALING)
+}
+
+impl ClipFiles {
+    /// How images are scaled, if the file may be another model's: its name is of none.
+    pub fn bare_scaling(&self) -> Option<&Path> {
+        self.scaling.as_deref().filter(|file| file.file_name().is_some_and(|name| name == SCALING))
+    }
 }

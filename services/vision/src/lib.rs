@@ -52,7 +52,7 @@ mod survey;
 pub use builtin::{
     Builtin, EdgeDetector, PromptInterpretation, PromptQuery, PromptStep, RegionCache, Regions, TraitWeights,
 };
-pub use clip::CLIP_MEAN;
+pub use clip::{CLIP_MEAN, ClipScaling, ClipTokenizer};
 pub use clip_file_error::{ClipFileError, TokenizerError};
 pub use contours::ContourTree;
 pub use family::Family;

@@ -1,6 +1,7 @@
 //! The CLIP model that settings name. It is loaded at the first query by text: a run does not need it.
 
-use super::encoders::ClipEncoders;
+use super::encoders::{ClipEncoders, read};
+use super::scaling::other_model;
 use crate::clip_files::ClipFiles;
 use crate::onnx::Runtime;
 use crate::survey::{FileUse, survey};
@@ -34,8 +35,16 @@ pub(crate) fn find_clip(
             usage => format!("text: not used: {path} {usage}"),
         });
     }
+    let mut texts = found.texts;
+    if let Some(files) = &mut texts
+        && let Some(file) = files.bare_scaling()
+        && let Some(kind) = read(file).ok().and_then(|bytes| other_model(&bytes))
+    {
+        notes.push(format!("text: not used: {}: it is of another model (`{kind}`)", file.display()));
+        files.scaling = None;
+    }
     let on_demand = |files| ClipOnDemand { files, settings: settings.clone(), loaded: Mutex::default() };
-    Ok(found.texts.map(on_demand))
+    Ok(texts.map(on_demand))
 }
 
 impl ClipOnDemand {

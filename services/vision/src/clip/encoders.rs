@@ -64,7 +64,7 @@ fn digest(files: &[&[u8]]) -> String {
     hasher.finalize().to_hex()[..16].to_owned()
 }
 
-fn read(file: &Path) -> Result<Vec<u8>, VisionError> {
+pub(super) fn read(file: &Path) -> Result<Vec<u8>, VisionError> {
     segwild_files::read_within(file, MOST_BYTES).map_err(|e| refused(file, TokenizerError::Unreadable(e)))
 }
 
@@ -120,10 +120,6 @@ impl ClipEncoders {
         };
         // What costs least is checked first.
         let (tokenizer, of_tokenizer) = tokenizer(&files.tokenizer)?;
-        let mut scaling = match &files.scaling {
-            Some(file) => ClipScaling::of_json(&read(file)?).map_err(|reason| refused(file, reason))?,
-            None => ClipScaling::default(),
-        };
         let images = NetworkModel::load(runtime, &files.images, options)?;
         let texts = match files.texts == files.images {
             true => None,
@@ -134,9 +130,13 @@ impl ClipEncoders {
         let Some(image_interface) = of_images.images else {
             return Err(images.wrong("embeds no images"));
         };
+        let side = image_interface.side;
+        let scaling = match &files.scaling {
+            Some(file) => ClipScaling::of_json(&read(file)?, side).map_err(|reason| refused(file, reason))?,
+            None => ClipScaling::with_side(side),
+        };
         let text_model = texts.as_ref().unwrap_or(&images);
         let Some(text_interface) = of_texts.texts else { return Err(text_model.wrong("embeds no texts")) };
-        scaling.side = image_interface.side.unwrap_or(scaling.side);
         let key = format!(
             "{VERSION}-{}-{}-{of_tokenizer}-{}-{}",
             images.key(),

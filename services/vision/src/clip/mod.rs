@@ -9,4 +9,5 @@ mod scaling;
 mod tokenizer;
 
 pub(crate) use choice::find_clip;
-pub use scaling::CLIP_MEAN;
+pub use scaling::{CLIP_MEAN, ClipScaling};
+pub use tokenizer::ClipTokenizer;

@@ -17,7 +17,7 @@ const CLIP_DEVIATION: [f32; 3] = [0.268_629_54, 0.261_302_6, 0.275_777_1];
 
 /// How images are scaled.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct ClipScaling {
+pub struct ClipScaling {
     /// Side of the square, in pixels.
     pub side: usize,
     /// Mean and standard deviation per channel, sRGB in [0, 1].
@@ -32,13 +32,22 @@ impl Default for ClipScaling {
 }
 
 impl ClipScaling {
-    /// Reads `preprocessor_config.json`. What it does not say is as in CLIP.
-    pub fn of_json(bytes: &[u8]) -> Result<ClipScaling, TokenizerError> {
+    /// As CLIP, with the side that a network fixes.
+    pub(super) fn with_side(side: Option<usize>) -> ClipScaling {
+        let usual = ClipScaling::default();
+        ClipScaling { side: side.unwrap_or(usual.side), ..usual }
+    }
+
+    /// Reads `preprocessor_config.json`. What it does not say is as in CLIP. `side`: what the network fixes, whatever the file says.
+    ///
+    /// # Errors
+    /// When it is no JSON, or what it says makes no sense.
+    pub fn of_json(bytes: &[u8], side: Option<usize>) -> Result<ClipScaling, TokenizerError> {
         let config: Value = serde_json::from_slice(bytes).map_err(TokenizerError::Json)?;
-        let mut scaling = ClipScaling::default();
+        let mut scaling = ClipScaling::with_side(side);
         let size =
             ["crop_size", "size"].into_iter().find_map(|name| config.get(name).map(|size| (name, size)));
-        if let Some((name, size)) = size {
+        if let Some((name, size)) = size.filter(|_| side.is_none()) {
             let side = ["height", "shortest_edge"].iter().find_map(|edge| size.get(edge)).unwrap_or(size);
             let side = side.as_u64().and_then(|side| usize::try_from(side).ok());
             scaling.side = side.filter(|side| SIDES.contains(side)).ok_or_else(|| {
@@ -56,7 +65,7 @@ impl ClipScaling {
     }
 
     /// The planes of an image, standardised. Squares are expected: others are stretched to one.
-    pub fn planes(&self, image: &Image) -> Result<Vec<f32>, VisionError> {
+    pub(super) fn planes(&self, image: &Image) -> Result<Vec<f32>, VisionError> {
         check(image)?;
         let mut fitted = image.resized(self.side, self.side);
         for (c, (mean, deviation)) in self.channels.into_iter().enumerate() {
@@ -64,6 +73,15 @@ impl ClipScaling {
         }
         Ok(fitted.data)
     }
+}
+
+/// What a `preprocessor_config.json` of another model says it is for; `None` where it may be CLIP's.
+pub(super) fn other_model(bytes: &[u8]) -> Option<String> {
+    let config: Value = serde_json::from_slice(bytes).ok()?;
+    let names = ["image_processor_type", "feature_extractor_type"];
+    let found: Vec<&str> = names.iter().filter_map(|name| config.get(name)?.as_str()).collect();
+    let other = found.first().filter(|_| !found.iter().any(|name| name.contains("CLIP")))?;
+    Some(other.chars().take(40).filter(|c| !c.is_control()).collect())
 }
 
 /// Three numbers of an entry; `None` where it is not there.
@@ -96,7 +114,7 @@ mod tests {
 
     #[test]
     fn a_file_beside_the_networks_says_how_images_are_scaled() {
-        let of = |text: &str| ClipScaling::of_json(text.as_bytes());
+        let of = |text: &str| ClipScaling::of_json(text.as_bytes(), None);
         assert_eq!(of("{}").unwrap(), ClipScaling::default());
         for text in [r#"{"crop_size": {"height": 336, "width": 336}}"#, r#"{"crop_size": 336, "size": 512}"#]
         {
@@ -115,5 +133,23 @@ mod tests {
             let words = of(text).unwrap_err().to_string();
             assert!(words.contains(word), "{words}");
         }
+    }
+
+    #[test]
+    fn a_file_of_sam_says_nothing_of_clip() {
+        let sam = br#"{"image_processor_type": "SamImageProcessor", "size": {"longest_edge": 1024}}"#;
+        assert_eq!(other_model(sam).as_deref(), Some("SamImageProcessor"));
+        for text in [
+            r#"{"image_processor_type": "CLIPImageProcessor"}"#,
+            r#"{"feature_extractor_type": "CLIPFeatureExtractor"}"#,
+            r#"{"image_processor_type": "BlipImageProcessor", "feature_extractor_type": "CLIPFeatureExtractor"}"#,
+            r#"{"size": 224}"#,
+            "[",
+        ] {
+            assert_eq!(other_model(text.as_bytes()), None, "{text}");
+        }
+        // A network that fixes the side needs no size.
+        assert_eq!(ClipScaling::of_json(sam, Some(336)).unwrap().side, 336);
+        assert!(ClipScaling::of_json(sam, None).is_err());
     }
 }

@@ -19,9 +19,9 @@ const END: &str = "<|endoftext|>";
 /// Ends of English words that are words of their own.
 const SHORTENED: [&str; 7] = ["'s", "'t", "'re", "'ve", "'m", "'ll", "'d"];
 
-/// A tokenizer.
+/// CLIP's tokenizer.
 #[derive(Debug)]
-pub(crate) struct ClipTokenizer {
+pub struct ClipTokenizer {
     numbers: HashMap<String, u32>,
     /// Where each merge stands in the list, by its two pieces with a space in the middle.
     ranks: HashMap<String, usize>,
@@ -63,6 +63,9 @@ struct AddedToken {
 
 impl ClipTokenizer {
     /// Reads `tokenizer.json`.
+    ///
+    /// # Errors
+    /// When it is none of CLIP.
     pub fn of_json(bytes: &[u8]) -> Result<ClipTokenizer, TokenizerError> {
         // The vocabulary of another type of tokenizer has another form.
         #[derive(Deserialize)]
@@ -91,6 +94,9 @@ impl ClipTokenizer {
     }
 
     /// Reads `vocab.json` and `merges.txt`.
+    ///
+    /// # Errors
+    /// When they are none of CLIP.
     pub fn of_parts(vocabulary: &[u8], merges: &[u8]) -> Result<ClipTokenizer, TokenizerError> {
         let numbers = serde_json::from_slice(vocabulary).map_err(TokenizerError::Json)?;
         let lines = std::str::from_utf8(merges).map_err(|_| TokenizerError::NoText)?.lines();
@@ -128,6 +134,9 @@ impl ClipTokenizer {
     }
 
     /// The tokens of a text, its start and end among them: `most` at most, words at the end are left out.
+    ///
+    /// # Errors
+    /// When it has no token for a piece of the text.
     pub fn tokens(&self, text: &str, most: usize) -> Result<Vec<u32>, TokenizerError> {
         let mut tokens = vec![self.start];
         let most = most.max(2);

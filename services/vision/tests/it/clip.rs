@@ -193,4 +193,9 @@ fn a_damaged_tokenizer_is_an_error_with_its_file() {
     put(at, "preprocessor_config.json", b"{\"crop_size\": 7}");
     let error = providers(at).text_embedder().unwrap().key().unwrap_err().to_string();
     assert!(error.contains("preprocessor_config.json") && error.contains("`crop_size`"), "{error}");
+    let of_sam = br#"{"image_processor_type": "SamImageProcessor", "size": {"longest_edge": 1024}}"#;
+    put(at, "preprocessor_config.json", of_sam);
+    let all = providers(at);
+    all.text_embedder().unwrap().key().unwrap();
+    assert!(all.notes.iter().any(|note| note.contains("`SamImageProcessor`")), "{:?}", all.notes);
 }

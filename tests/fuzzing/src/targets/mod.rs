@@ -52,4 +52,5 @@ pub const TARGETS: &[FuzzTarget] = &[
     networks::LPIPS,
     server::REQUEST,
     vision::CALL,
+    vision::CLIP,
 ];

@@ -1,11 +1,13 @@
-//! Calls to a vision service.
+//! Calls to a vision service, and the files beside CLIP's encoders.
 
 use crate::{FuzzTarget, seal};
 use futures_util::stream;
 use prost::Message;
 use segwild_proto::v1::vision_client::VisionClient;
 use segwild_proto::v1::{self, ImageHeader, ImagePart, PixelFormat, image_part::Part};
-use segwild_vision::{Providers, VisionServer, VisionServiceOptions, VisionSettings, serve_vision};
+use segwild_vision::{
+    ClipScaling, ClipTokenizer, Providers, VisionServer, VisionServiceOptions, VisionSettings, serve_vision,
+};
 use std::sync::OnceLock;
 use std::time::Duration;
 use tokio::runtime::Runtime;
@@ -151,5 +153,66 @@ pub(super) const CALL: FuzzTarget = FuzzTarget {
         let address = format!("http://{}", server.address());
         let done = runtime.block_on(async { tokio::time::timeout(PATIENCE, exchange(address, bytes)).await });
         assert!(done.is_ok(), "it neither answers nor refuses");
+    },
+};
+
+/// Ends the first of two files in one input.
+const FILE_END: u8 = 0;
+/// Tokens of a text at most, as in CLIP.
+const CONTEXT: usize = 77;
+
+/// Inputs by their first byte: `tokenizer.json`, `vocab.json` with `merges.txt`, `preprocessor_config.json`.
+fn clip_seeds() -> Vec<Vec<u8>> {
+    let vocabulary =
+        r#"{"d": 0, "o": 1, "m": 2, "e</w>": 3, "me</w>": 4, "<|startoftext|>": 5, "<|endoftext|>": 6}"#;
+    let whole = format!(
+        r#"{{"model": {{"type": "BPE", "vocab": {vocabulary}, "merges": ["m e</w>", ["o", "me</w>"]]}},
+            "added_tokens": [{{"id": 7, "content": "ome</w>"}}]}}"#
+    );
+    let parts = [vocabulary.as_bytes(), &[FILE_END][..], &b"#version: 0.2\nm e</w>\n"[..]].concat();
+    let scaling = br#"{"crop_size": {"height": 224, "width": 224}, "size": {"shortest_edge": 224},
+        "image_mean": [0.48, 0.46, 0.41], "image_std": [0.27, 0.26, 0.28]}"#;
+    let of = |kind: u8, file: &[u8]| [&[kind][..], file].concat();
+    vec![of(0, whole.as_bytes()), of(1, &parts), of(2, scaling)]
+}
+
+pub(super) const CLIP: FuzzTarget = FuzzTarget {
+    name: "clip_files",
+    seeds: clip_seeds,
+    words: &[
+        "<|startoftext|>",
+        "<|endoftext|>",
+        "</w>",
+        "WordPiece",
+        "added_tokens",
+        "longest_edge",
+        "image_std",
+        "4294967295",
+        "1e999",
+        "-1",
+        "[[[[",
+    ],
+    seal: seal::nothing,
+    read: |bytes| {
+        let (&kind, file) = bytes.split_first().unwrap_or((&0, &[]));
+        let tokenizer = match kind {
+            0 => ClipTokenizer::of_json(file),
+            1 => {
+                let mut parts = file.splitn(2, |byte| *byte == FILE_END);
+                let mut part = || parts.next().unwrap_or_default();
+                ClipTokenizer::of_parts(part(), part())
+            }
+            _ => {
+                if let Ok(scaling) = ClipScaling::of_json(file, None) {
+                    assert!((16..=1024).contains(&scaling.side), "{scaling:?}");
+                }
+                return;
+            }
+        };
+        if let Ok(tokens) =
+            tokenizer.and_then(|tokenizer| tokenizer.tokens("the dome's 2 windows, 窓", CONTEXT))
+        {
+            assert!(tokens.len() <= CONTEXT, "{tokens:?}");
+        }
     },
 };
