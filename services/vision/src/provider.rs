@@ -56,6 +56,17 @@ pub enum VisionError {
         /// What is there and not used, in brackets after a space; empty where nothing is.
         found: String,
     },
+    /// Texts and images are embedded in two spaces.
+    #[error(
+        "the model embeds a text as {texts} numbers and an image as {images}: put the two encoders of one CLIP model into the \
+         folder of `--models`"
+    )]
+    EmbeddingLengths {
+        /// Numbers per text.
+        texts: usize,
+        /// Numbers per image.
+        images: usize,
+    },
     /// A vision service does not serve.
     #[error(transparent)]
     Service(#[from] ServiceError),

@@ -14,6 +14,8 @@ pub(crate) const SNAPSHOT: &str = "snapshot";
 pub(crate) const TRANSIENTS: &str = "transients";
 /// The training's row there.
 pub(crate) const TRAINING: &str = "training";
+/// Domain of the embeddings of the scene tree's groups. They count as used by the run, since texts read them.
+pub(crate) const DESCRIBED: &str = "described";
 
 /// One kind of artefact in a run's cache.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -30,10 +32,12 @@ pub struct CacheLine {
     pub used_bytes: u64,
 }
 
-/// Whether the run uses an artefact as it stands. Regions of photos always count as used: clicks read them.
+/// Whether the run uses an artefact as it stands. Regions of photos and embeddings of groups always count as used: clicks and texts
+/// read them.
 fn in_use(ledger: &Ledger) -> Result<impl Fn(&Artefact) -> bool + use<>, LedgerError> {
     let keys = keys_in_use(ledger)?;
-    Ok(move |artefact: &Artefact| artefact.domain == REGIONS || keys.contains(&artefact.key()))
+    let of_queries = |domain: &str| domain == REGIONS || domain == DESCRIBED;
+    Ok(move |artefact: &Artefact| of_queries(&artefact.domain) || keys.contains(&artefact.key()))
 }
 
 /// The artefacts that the run uses as it stands, as the ledger writes their keys.

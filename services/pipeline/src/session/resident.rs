@@ -11,7 +11,7 @@ use crate::artifacts::scene_tree::TreeSource;
 use crate::code::{Code, providers_for};
 use crate::output::light::{self, find};
 use crate::output::objects::ListRequest;
-use crate::output::text_query::DescribeRequest;
+use crate::output::text_query::{DescribeRequest, PartlyDescribed};
 use crate::run::skies;
 use crate::{
     ObjectQuery, PhotoPrompts, Replay, RunError, RunFolder, Settings, TextRanking, choose_engine, log_loss,
@@ -67,6 +67,8 @@ pub struct Session {
     /// Key of the training.
     pub(super) training: Option<String>,
     pub(super) tree: Option<KeyedTree>,
+    /// What texts that were cancelled have embedded of the tree's groups.
+    pub(super) described: PartlyDescribed,
     /// Names of the image files of each photo.
     pub(super) files: ImageFiles,
     pub(super) tasks: Sender<SegmentTask>,
@@ -191,6 +193,7 @@ impl Session {
             providers,
             training,
             tree,
+            described: PartlyDescribed::default(),
             files,
             tasks,
             system,
@@ -254,10 +257,16 @@ impl Session {
         let scene = self.list_request()?;
         let tree = scene.tree;
         let transients = transients::of_run(&self.folder, &self.scene);
-        let request = DescribeRequest { scene, embedder, transients: &transients };
+        let request = DescribeRequest {
+            scene,
+            embedder,
+            transients: &transients,
+            transients_digest: transients::digest_of_run(&self.folder, &self.scene),
+            so_far: &self.described,
+        };
         let described = request.groups(&self.folder.cache()?, stopper)?;
         let photos: Vec<&str> = self.scene.views.iter().map(|view| view.name.as_str()).collect();
-        TextRanking::of(text, &described, tree, &photos, embedder)
+        TextRanking::of(text, &described, tree, &photos, embedder, stopper)
     }
 
     /// Asks for the object of the prompts, for one of the scene's list, or for what a text describes: the setting `alternative` says

@@ -140,6 +140,8 @@ impl Session {
             select_s: *select_s,
             wall_s: 0.0,
         };
+        let alternative = replay.settings.as_ref().map_or(0, |settings| settings.alternative);
+        outcome.notes.extend(ranking.as_ref().and_then(|ranking| ranking.warning(alternative)));
         outcome.notes.extend(outcome.selection_warnings());
         outcome.notes.extend(transients::damaged(folder, scene));
         outcome.notes.extend(code::changes(&code::of_clicks(code::recorded(folder)), &providers.networks));

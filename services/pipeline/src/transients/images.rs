@@ -6,13 +6,16 @@ use super::authorship::{
 use super::known::KnownTransients;
 use super::odd::{crowded, odd, share_of};
 use crate::{RunError, RunFolder};
-use segwild_flow::{ActorFailure, Key};
+use segwild_flow::{ActorFailure, Key, files};
 use segwild_raster::Rasterizer;
 use segwild_scene::{Mask, Scene};
 use segwild_trainer::{Model, TrainPhoto};
 use segwild_vision::PromptSegmenter;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+
+/// Bytes of a mask image at most, for its hash: a photo of 100 megapixels has less.
+const MOST_MASK_BYTES: u64 = 128 << 20;
 
 /// Returns a reader of a run's transient masks, by view and in pixels of the undistorted photo. It gives `None` where
 /// no mask image is or can be read.
@@ -26,6 +29,17 @@ pub(crate) fn of_run(
         let taken = Mask::read_png(&files.find(&own, view)).ok()?;
         Some(views[view].mask_from_taken(taken))
     }
+}
+
+/// What [`of_run`] reads, as a part of keys: a hash of the mask images. One that cannot be read counts as missing, as it does there.
+pub(crate) fn digest_of_run(folder: &RunFolder, scene: &Scene) -> String {
+    let (own, images) = (folder.path().join(FOLDER), image_files(scene));
+    let mut hasher = blake3::Hasher::new();
+    for view in 0..scene.views.len() {
+        let bytes = files::read_within(&images.find(&own, view), MOST_MASK_BYTES).unwrap_or_default();
+        hasher.update(blake3::hash(&bytes).as_bytes());
+    }
+    hasher.finalize().to_hex().to_string()
 }
 
 /// The mask image of a photo's transients, as taken; `None` where there is none or it cannot be read.

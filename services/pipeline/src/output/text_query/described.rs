@@ -1,21 +1,22 @@
 //! What a model sees of each group that a text may describe: an embedding per group, kept in the run's cache.
 
 use super::crop::crop;
+use super::prompts::negatives;
 use crate::RunError;
+use crate::artifacts::cache::DESCRIBED;
 use crate::output::objects::{ListRequest, SHOWS, whole_pixels};
-use segwild_flow::{Cache, Key, Phase, Stopper};
+use segwild_flow::{Cache, Key, Phase, Stopper, lock};
 use segwild_scene::{Image, Mask};
 use segwild_segmenter::scene_tree::{GroupCandidate, LeafMap, SceneTree, ShownPixels};
-use segwild_vision::TextEmbedder;
-use std::collections::BTreeSet;
+use segwild_vision::{TextEmbedder, VisionError};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex, MutexGuard};
 use wincode::{SchemaRead, SchemaWrite};
 
-/// Their domain in the cache, and the kind of their record.
-const DESCRIBED: &str = "described";
 /// Raised when the bytes of a record of the same input change.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
-/// Photos per group at most. By choice: more of them show the same.
+/// Photos per group at most (docs/method.md, section 13.1). By choice: more of them show the same.
 const MOST_PHOTOS: usize = 3;
 /// Crops in memory together.
 const AT_ONCE: usize = 16;
@@ -44,6 +45,8 @@ pub(crate) struct DescribedGroup {
 pub(crate) struct DescribedGroups {
     /// Those that show in a photo.
     pub groups: Vec<DescribedGroup>,
+    /// Embeddings of the texts that describe anything, unit vectors as long as those of the groups.
+    pub negatives: Vec<Vec<f32>>,
 }
 
 impl DescribedGroup {
@@ -57,15 +60,58 @@ impl DescribedGroup {
 impl DescribedGroups {
     /// Whether they are of this tree and so many views: they may have been read from a file.
     fn fit(&self, tree: &SceneTree, views: usize) -> bool {
-        let dims = self.groups.first().map_or(0, |group| group.embedding.len());
-        self.groups.iter().all(|group| {
-            let nodes = tree.trees.get(group.tree as usize).map_or(0, |tree| tree.merges.len());
-            (group.node as usize) < nodes
-                && !group.views.is_empty()
-                && group.views.iter().all(|&view| (view as usize) < views)
-                && group.embedding.len() == dims
-                && group.embedding.iter().all(|v| v.is_finite())
-        })
+        let dims = self.negatives.first().map_or(0, Vec::len);
+        let sound = |embedding: &Vec<f32>| embedding.len() == dims && embedding.iter().all(|v| v.is_finite());
+        let of_texts = self.negatives.len() == negatives().len() && self.negatives.iter().all(sound);
+        of_texts
+            && self.groups.iter().all(|group| {
+                let nodes = tree.trees.get(group.tree as usize).map_or(0, |tree| tree.merges.len());
+                (group.node as usize) < nodes
+                    && !group.views.is_empty()
+                    && group.views.iter().all(|&view| (view as usize) < views)
+                    && sound(&group.embedding)
+            })
+    }
+
+    /// Refuses embeddings of texts whose length is not that of the groups': they cannot be compared.
+    pub fn fit_texts(&self, texts: &[Vec<f32>]) -> Result<(), VisionError> {
+        let groups = || self.groups.iter().map(|group| group.embedding.len());
+        let lengths = || groups().chain(self.negatives.iter().map(Vec::len));
+        for text in texts {
+            if let Some(images) = lengths().find(|length| *length != text.len()) {
+                return Err(VisionError::EmbeddingLengths { texts: text.len(), images });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What is embedded of a scene so far, kept by its session: a query that is cancelled leaves it to the next one.
+#[derive(Default)]
+pub(crate) struct PartlyDescribed(Mutex<EmbeddedViews>);
+
+/// The embeddings of some views' crops.
+#[derive(Default)]
+struct EmbeddedViews {
+    /// Key of the groups that are described.
+    key: Option<Key>,
+    /// Per group, the photos that show it best, once they are found.
+    best: Option<Arc<Vec<BestPhotos>>>,
+    /// By view.
+    views: BTreeMap<usize, Arc<EmbeddedCrops>>,
+}
+
+/// Groups by their numbers, with the embeddings of their crops from one view.
+type EmbeddedCrops = Vec<(usize, Vec<f32>)>;
+
+impl PartlyDescribed {
+    /// What is known of the groups of a key; nothing is where it was another one.
+    fn of(&self, key: &Key) -> MutexGuard<'_, EmbeddedViews> {
+        let mut views = lock(&self.0);
+        if views.key.as_ref() != Some(key) {
+            *views = EmbeddedViews { key: Some(*key), ..EmbeddedViews::default() };
+        }
+        views
     }
 }
 
@@ -77,6 +123,10 @@ pub(crate) struct DescribeRequest<'a> {
     pub embedder: &'a dyn TextEmbedder,
     /// Reads the transient masks of the views: what they occlude is not cropped.
     pub transients: &'a dyn Fn(usize) -> Option<Mask>,
+    /// What they are: a part of the key.
+    pub transients_digest: String,
+    /// What an earlier query that was cancelled has embedded.
+    pub so_far: &'a PartlyDescribed,
 }
 
 /// The photos in which a group shows best: pixels that count, and the view.
@@ -90,46 +140,69 @@ impl DescribeRequest<'_> {
     pub fn groups(&self, cache: &Cache, stopper: &Stopper) -> Result<DescribedGroups, RunError> {
         let ListRequest { tree, key, .. } = &self.scene;
         let model = self.embedder.key()?;
-        let key = Key::of(DESCRIBED).value("format", FORMAT).part("tree", key).part("model", model).finish();
+        let key = Key::of(DESCRIBED)
+            .value("format", FORMAT)
+            .part("tree", key)
+            .part("model", model)
+            .part("transients", &self.transients_digest)
+            .part("negatives", negatives().join("\n"))
+            .finish();
         let kept = cache.get_typed::<DescribedGroups>(&key, DESCRIBED)?;
         if let Some(kept) = kept.filter(|kept| kept.fit(tree, self.scene.scene().views.len())) {
             return Ok(kept);
         }
-        let made = self.describe(stopper)?;
-        if let Err(error) = cache.put_typed(&key, DESCRIBED, &made) {
-            tracing::warn!("embeddings of groups are not kept, so that each text makes them again: {error}");
+        let (made, unread) = self.describe(&key, stopper)?;
+        if unread > 0 {
+            tracing::warn!(
+                "{unread} photos cannot be read, so that groups are described without them for now"
+            );
+            return Ok(made);
+        }
+        match cache.put_typed(&key, DESCRIBED, &made) {
+            Ok(()) => *self.so_far.of(&key) = EmbeddedViews::default(),
+            Err(error) => tracing::warn!("embeddings of groups are kept by this session alone: {error}"),
         }
         Ok(made)
     }
 
-    fn describe(&self, stopper: &Stopper) -> Result<DescribedGroups, RunError> {
+    /// The groups, and the number of photos that could not be read: they show nothing.
+    fn describe(&self, key: &Key, stopper: &Stopper) -> Result<(DescribedGroups, usize), RunError> {
         let tree = self.scene.tree;
         let groups = tree.describable();
-        let best = self.best_photos(&groups, stopper)?;
+        let known = self.so_far.of(key).best.clone();
+        let best = match known {
+            Some(best) => best,
+            None => {
+                let best = Arc::new(self.best_photos(&groups, stopper)?);
+                self.so_far.of(key).best = Some(best.clone());
+                best
+            }
+        };
         let views: BTreeSet<usize> = best.iter().flatten().map(|(_, view)| *view).collect();
         let mut sums: Vec<Vec<f64>> = vec![Vec::new(); groups.len()];
+        let mut unread = BTreeSet::new();
         for view in views {
-            // A photo that can no longer be read shows nothing.
-            let Ok(photo) = self.scene.photos.read(view) else { continue };
-            let map = self.map(view)?;
-            let shown: Vec<usize> =
-                (0..groups.len()).filter(|&i| best[i].iter().any(|(_, of)| *of == view)).collect();
-            for some in shown.chunks(AT_ONCE) {
-                if stopper.phase() != Phase::Running {
-                    return Err(RunError::Interrupted);
+            let known = self.so_far.of(key).views.get(&view).cloned();
+            let embedded = match known {
+                Some(embedded) => embedded,
+                None => {
+                    let Ok(photo) = self.scene.photos.read(view) else {
+                        unread.insert(view);
+                        continue;
+                    };
+                    let embedded = Arc::new(self.embedded(view, &photo.image, &groups, &best, stopper)?);
+                    self.so_far.of(key).views.insert(view, embedded.clone());
+                    embedded
                 }
-                let crop_of =
-                    |&i: &usize| Some((i, crop(&photo.image, &map.mask(&tree.leaves_of(&groups[i])))?));
-                let (of, crops): (Vec<usize>, Vec<Image>) = some.iter().filter_map(crop_of).unzip();
-                for (i, embedding) in of.into_iter().zip(self.embedder.embed_images(&crops)?) {
-                    sums[i].resize(embedding.len(), 0.0);
-                    sums[i].iter_mut().zip(&embedding).for_each(|(sum, v)| *sum += f64::from(*v));
-                }
+            };
+            for (i, embedding) in embedded.iter() {
+                sums[*i].resize(embedding.len(), 0.0);
+                sums[*i].iter_mut().zip(embedding).for_each(|(sum, v)| *sum += f64::from(*v));
             }
         }
         let listed = tree.parts().groups.len();
         let described =
-            groups.iter().zip(&sums).zip(&best).enumerate().filter_map(|(i, ((group, sum), best))| {
+            groups.iter().zip(&sums).zip(best.iter()).enumerate().filter_map(|(i, ((group, sum), best))| {
                 let (tree, node) = group.nodes[0];
                 Some(DescribedGroup {
                     tree: tree as u32,
@@ -138,11 +211,44 @@ impl DescribeRequest<'_> {
                     area: group.area,
                     // The parts of the scene come first, in the order of the list.
                     object: if i < listed { i as u32 + 1 } else { 0 },
-                    views: best.iter().map(|(_, view)| *view as u32).collect(),
+                    views: best
+                        .iter()
+                        .map(|(_, view)| *view)
+                        .filter(|view| !unread.contains(view))
+                        .map(|view| view as u32)
+                        .collect(),
                     embedding: unit(sum)?,
                 })
             });
-        Ok(DescribedGroups { groups: described.collect() })
+        let groups = described.collect();
+        let described = DescribedGroups { groups, negatives: self.embedder.embed_texts(&negatives())? };
+        described.fit_texts(&described.negatives)?;
+        Ok((described, unread.len()))
+    }
+
+    /// The embeddings of the crops of the groups that a view is among the best of.
+    fn embedded(
+        &self,
+        view: usize,
+        photo: &Image,
+        groups: &[GroupCandidate],
+        best: &[BestPhotos],
+        stopper: &Stopper,
+    ) -> Result<EmbeddedCrops, RunError> {
+        let tree = self.scene.tree;
+        let map = self.map(view)?;
+        let shown: Vec<usize> =
+            (0..groups.len()).filter(|&i| best[i].iter().any(|(_, of)| *of == view)).collect();
+        let mut embedded = EmbeddedCrops::new();
+        for some in shown.chunks(AT_ONCE) {
+            if stopper.phase() != Phase::Running {
+                return Err(RunError::Interrupted);
+            }
+            let crop_of = |&i: &usize| Some((i, crop(photo, &map.mask(&tree.leaves_of(&groups[i])))?));
+            let (of, crops): (Vec<usize>, Vec<Image>) = some.iter().filter_map(crop_of).unzip();
+            embedded.extend(of.into_iter().zip(self.embedder.embed_images(&crops)?));
+        }
+        Ok(embedded)
     }
 
     /// The leaves that a photo shows, without its transients.

@@ -5,7 +5,8 @@
 
 mod crop;
 mod described;
+mod prompts;
 mod ranking;
 
-pub(crate) use described::DescribeRequest;
+pub(crate) use described::{DescribeRequest, PartlyDescribed};
 pub use ranking::{TextMatch, TextRanking};

@@ -1,7 +1,9 @@
 //! Ranks the groups of a scene by a text.
 
 use super::described::{DescribedGroup, DescribedGroups};
+use super::prompts::prompt;
 use crate::RunError;
+use segwild_flow::{Phase, Stopper};
 use segwild_segmenter::SegmentError;
 use segwild_segmenter::scene_tree::{GroupCandidate, SceneTree};
 use segwild_vision::TextEmbedder;
@@ -12,23 +14,24 @@ const MOST_CHARACTERS: usize = 300;
 /// Before a text that means all objects of a sort: `all windows`.
 const EVERY: &str = "all ";
 
-/// The words that a text is put into, as in CLIP's own evaluation (Radford et al. 2021, section 3.1.4).
-const PROMPT: &str = "a photo of ";
-/// What a group may be instead: texts that describe anything (as the canonical phrases of LERF, Kerr et al. 2023, section 3.3).
-const NEGATIVES: [&str; 4] = ["object", "things", "texture", "background"];
-/// CLIP's `exp(t)` at the end of its training: what cosines are multiplied by before the softmax (section 2.5 there).
+/// CLIP's `exp(t)` at the end of its training (docs/method.md, section 13.1): what cosines are multiplied by before the softmax
+/// (Radford et al. 2021, section 2.5).
 const LOGIT_SCALE: f64 = 100.0;
 
 /// Matches of a text at most. By choice.
 const MOST_MATCHES: usize = 8;
-/// IoU from which two groups are one match, of which the better one counts. By choice.
+/// IoU from which two groups are one match, of which the better one counts (section 13.1). By choice.
 const ALIKE: f64 = 0.7;
 /// Objects that a text which means all of them selects at most. By choice.
 const MOST_OBJECTS: usize = 32;
-/// How much lower than the best score those of all objects of a sort may be. By choice.
+/// How much lower than the best score those of all objects of a sort may be (section 13.1). By choice.
 const MARGIN: f32 = 0.1;
-/// Share of the smaller one that two objects of a sort may have in common. By choice, as for the scene's list.
+/// Share of the smaller one that two objects of a sort may have in common (section 13.1). By choice, as for the scene's list.
 const MAX_SHARED: f64 = 0.1;
+/// Score under which a group is likelier to be something else than what the text describes (section 13.1).
+const MIN_SCORE: f32 = 0.5;
+/// Photos in which all objects of a sort are prompted, at most: each costs a query of its own. By choice.
+const MOST_PROMPTED: usize = 4;
 
 /// What a text may mean: a group of the scene tree, or all of a sort together.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -91,7 +94,7 @@ impl TextQuery<'_> {
 /// How well a text describes a group.
 #[derive(Clone, Copy, Debug)]
 struct GroupScore {
-    /// Probability that it does rather than one of the [`NEGATIVES`].
+    /// Probability that it does rather than one of the texts that describe anything.
     score: f32,
     /// Cosine of the two: it orders groups whose probability is 1.
     cosine: f64,
@@ -121,25 +124,26 @@ impl TextRanking {
     /// Ranks the groups of a scene. `photos`: the names of its photos.
     ///
     /// # Errors
-    /// When the text cannot be used, the model fails, or no group shows in a photo.
+    /// When the text cannot be used, the model fails, no group shows in a photo, or `stopper` stops it.
     pub(crate) fn of(
         text: &str,
         described: &DescribedGroups,
         tree: &SceneTree,
         photos: &[&str],
         embedder: &dyn TextEmbedder,
+        stopper: &Stopper,
     ) -> Result<TextRanking, RunError> {
         let query = TextQuery::of(text)?;
-        let texts: Vec<String> =
-            std::iter::once(format!("{PROMPT}{}", query.what)).chain(NEGATIVES.map(str::to_owned)).collect();
-        let embeddings = embedder.embed_texts(&texts)?;
+        let embedded = embedder.embed_texts(&[prompt(query.what)])?;
+        described.fit_texts(&embedded)?;
+        let texts = || embedded.iter().chain(&described.negatives);
         let score = |group: &DescribedGroup| {
-            let cosines: Vec<f64> = embeddings.iter().map(|text| cosine(&group.embedding, text)).collect();
+            let cosines: Vec<f64> = texts().map(|text| cosine(&group.embedding, text)).collect();
             GroupScore { score: first_share(&cosines), cosine: cosines.first().copied().unwrap_or(0.0) }
         };
         let groups = &described.groups;
         let scores: Vec<GroupScore> = groups.iter().map(score).collect();
-        let found = best(tree, groups, &scores, query.every);
+        let found = best(tree, groups, &scores, query.every, stopper)?;
         let photo = |view: u32| photos.get(view as usize).map_or_else(String::new, |name| (*name).to_owned());
         let single = |&i: &usize| TextMatch {
             score: scores[i].score,
@@ -167,6 +171,18 @@ impl TextRanking {
     pub fn selected(&self, alternative: u32) -> Option<&TextMatch> {
         self.matches.get(alternative as usize).or(self.matches.last())
     }
+
+    /// A warning where the text hardly describes the match that a setting selects.
+    pub(crate) fn warning(&self, alternative: u32) -> Option<String> {
+        let score = self.selected(alternative)?.score;
+        (score < MIN_SCORE).then(|| {
+            format!(
+                "what `{}` selects has a score of {score:.2}: under {MIN_SCORE} it is likelier to be something else, and what the \
+                 text describes may not be in the scene",
+                self.text
+            )
+        })
+    }
 }
 
 /// All matches as one.
@@ -178,6 +194,7 @@ fn together(matches: &[TextMatch]) -> TextMatch {
             views.push(*view);
         }
     }
+    views.truncate(MOST_PROMPTED);
     let light = matches.iter().map(|found| found.light).sum();
     TextMatch {
         score: mean(|found| found.score),
@@ -195,30 +212,39 @@ fn together(matches: &[TextMatch]) -> TextMatch {
 }
 
 /// The groups with the highest scores, each once: those that have most in common with a better one are left out. `every`: those
-/// that have hardly anything in common, as long as the score is near the best.
-fn best(tree: &SceneTree, groups: &[DescribedGroup], scores: &[GroupScore], every: bool) -> Vec<usize> {
+/// that have hardly anything in common, as long as the score is near the best and no lower than [`MIN_SCORE`]; the best one in any
+/// case.
+fn best(
+    tree: &SceneTree,
+    groups: &[DescribedGroup],
+    scores: &[GroupScore],
+    every: bool,
+    stopper: &Stopper,
+) -> Result<Vec<usize>, RunError> {
     let leaves = tree.trees.first().map_or(0, |tree| tree.merges.leaves);
-    let areas = || tree.trees.first().into_iter().flat_map(|tree| tree.groups.iter().take(leaves));
-    let area_of = |in_all: &dyn Fn(usize) -> bool| -> f64 {
-        let held = areas().enumerate().filter(|(leaf, _)| in_all(*leaf));
-        held.map(|(_, group)| f64::from(group.area)).sum()
-    };
+    let of_leaves = tree.trees.first().into_iter().flat_map(|tree| tree.groups.iter().take(leaves));
+    let areas: Vec<f64> = of_leaves.map(|group| f64::from(group.area)).collect();
     let mut order: Vec<usize> = (0..groups.len()).collect();
     order.sort_by(|&a, &b| {
         let (of_a, of_b) = (scores[a], scores[b]);
         of_b.score.total_cmp(&of_a.score).then(of_b.cosine.total_cmp(&of_a.cosine)).then(a.cmp(&b))
     });
     let most = if every { MOST_OBJECTS } else { MOST_MATCHES };
-    let least = order.first().map_or(0.0, |&first| scores[first].score - MARGIN);
+    let least = order.first().map_or(0.0, |&first| (scores[first].score - MARGIN).max(MIN_SCORE));
     let mut kept: Vec<(usize, Vec<bool>, f64)> = Vec::new();
     for i in order {
-        if kept.len() == most || (every && scores[i].score < least) {
+        if stopper.phase() != Phase::Running {
+            return Err(RunError::Interrupted);
+        }
+        if kept.len() == most || (every && !kept.is_empty() && scores[i].score < least) {
             break;
         }
         let inside = tree.leaves_of(&groups[i].candidate());
-        let area = area_of(&|leaf| inside[leaf]);
+        let own = areas.iter().zip(&inside).enumerate().filter(|(_, (_, inside))| **inside);
+        let own: Vec<(usize, f64)> = own.map(|(leaf, (area, _))| (leaf, *area)).collect();
+        let area: f64 = own.iter().map(|(_, area)| area).sum();
         let apart = kept.iter().all(|(_, other, of_other)| {
-            let shared = area_of(&|leaf| inside[leaf] && other[leaf]);
+            let shared: f64 = own.iter().filter(|(leaf, _)| other[*leaf]).map(|(_, area)| area).sum();
             match every {
                 true => shared <= MAX_SHARED * area.min(*of_other),
                 false => shared < ALIKE * (area + of_other - shared),
@@ -228,12 +254,13 @@ fn best(tree: &SceneTree, groups: &[DescribedGroup], scores: &[GroupScore], ever
             kept.push((i, inside, area));
         }
     }
-    kept.into_iter().map(|(i, ..)| i).collect()
+    Ok(kept.into_iter().map(|(i, ..)| i).collect())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::output::text_query::prompts::negatives;
     use segwild_scene::Image;
     use segwild_segmenter::scene_tree::{GroupTree, MergeTree, SplatGroup};
     use segwild_vision::VisionError;
@@ -304,7 +331,7 @@ mod tests {
         }
     }
 
-    fn ranked(text: &str) -> TextRanking {
+    fn described() -> DescribedGroups {
         let groups = vec![
             group(0, 0, 1, [1.0, 0.0, 0.0, 0.1]),
             group(0, 1, 2, [0.0, 1.0, 0.0, 0.1]),
@@ -313,12 +340,35 @@ mod tests {
             group(1, 0, 0, [0.99, 0.05, 0.0, 0.1]),
             group(0, 4, 0, [0.8, 0.7, 0.0, 0.1]),
         ];
+        let negatives = WordAxes(Mutex::default()).embed_texts(&negatives()).unwrap();
+        DescribedGroups { groups, negatives }
+    }
+
+    fn ranked_of(
+        text: &str,
+        described: &DescribedGroups,
+        stopper: &Stopper,
+    ) -> Result<TextRanking, RunError> {
         let axes = WordAxes(Mutex::default());
-        let photos = ["a.jpg", "b.jpg"];
-        let ranking = TextRanking::of(text, &DescribedGroups { groups }, &tree(), &photos, &axes).unwrap();
+        let ranking = TextRanking::of(text, described, &tree(), &["a.jpg", "b.jpg"], &axes, stopper);
         let texts = axes.0.into_inner().unwrap();
-        assert!(texts[0].starts_with("a photo of ") && texts[1..] == NEGATIVES, "{texts:?}");
+        assert!(texts.len() == 1 && texts[0].starts_with("a photo of "), "{texts:?}");
         ranking
+    }
+
+    fn ranked(text: &str) -> TextRanking {
+        ranked_of(text, &described(), &Stopper::new()).unwrap()
+    }
+
+    #[test]
+    fn embeddings_of_two_lengths_are_refused_and_a_stopped_query_ends() {
+        let mut other = described();
+        other.groups[2].embedding.truncate(3);
+        let refused = ranked_of("red", &other, &Stopper::new()).unwrap_err().to_string();
+        assert!(refused.contains("a text as 4 numbers and an image as 3"), "{refused}");
+        let stopper = Stopper::new();
+        stopper.stop();
+        assert!(matches!(ranked_of("red", &described(), &stopper), Err(RunError::Interrupted)));
     }
 
     #[test]
@@ -332,7 +382,10 @@ mod tests {
         assert!(ranking.matches.windows(2).all(|pair| pair[0].score >= pair[1].score));
         assert_eq!(ranked("green").matches[0].meant.nodes, [(0, 1)]);
         // Nothing is blue.
-        assert!(ranked("blue").matches[0].score < 0.5);
+        let blue = ranked("blue");
+        assert!(blue.matches[0].score < MIN_SCORE);
+        assert!(blue.warning(0).unwrap().contains("`blue`") && ranking.warning(0).is_none());
+        assert_eq!(ranked("all blue").matches.len(), 1, "the best one alone");
         assert_eq!(ranking.selected(1).unwrap().meant.nodes, [(0, 3)]);
         assert_eq!(ranking.selected(99), ranking.matches.last());
     }
