@@ -155,7 +155,9 @@ fn a_text_selects_what_it_describes_and_its_alternatives_are_the_next_best() {
     let scores: Vec<f64> = matches.iter().map(|m| m["score"].as_f64().expect("a score")).collect();
     assert!(scores.is_sorted_by(|a, b| a >= b) && scores[0] <= 1.0, "{scores:?}");
     assert!(answer["splats"].as_u64().is_some_and(|splats| splats > 0), "{answer}");
-    assert!(run.join("cache/described.d").is_dir(), "crops are embedded once");
+    works(&["cache", "gc", &run_text]);
+    let kept = works(&["cache", "ls", &run_text]);
+    assert!(kept.contains("described"), "crops are embedded once: {kept}");
     // A text is kept as one, and ranked again.
     let prompts = show(&run.join("selections/it/prompts.json"));
     assert!(std::fs::read_to_string(&prompts).expect("it is there").contains("\"text\": \"the red\""));

@@ -8,26 +8,85 @@ use std::collections::HashSet;
 /// Groups that a text may describe, at most: each costs embeddings of some crops.
 pub const MOST_DESCRIBABLE: usize = 192;
 
-/// Least ratio of the areas of two groups one of which holds the other. By choice; smaller steps hardly show in a crop.
+/// Least ratio of the areas of two groups one of which holds the other (docs/method.md, section 13.1). By choice; smaller steps hardly
+/// show in a crop.
 const MIN_NESTED_RATIO: f32 = 1.5;
+
+/// IoU in light from which a group that holds a part is one that is listed already, by another tree (section 13.1). By choice.
+const ALIKE_HOLDERS: f64 = 0.9;
 
 /// Groups above a part, and levels of halves below it. By choice: a window is two levels below its wall, a house two above its
 /// door.
 const LEVELS: usize = 2;
 
+/// Groups by their leaves, whichever tree they are of.
+struct KnownGroups<'a> {
+    tree: &'a SceneTree,
+    /// Light of each leaf.
+    light: Vec<f64>,
+    /// Leaves of each group, and their light.
+    groups: Vec<(Vec<bool>, f64)>,
+}
+
+impl KnownGroups<'_> {
+    fn of(tree: &SceneTree) -> KnownGroups<'_> {
+        let leaves = tree.trees.first().map_or(0, |tree| tree.merges.leaves);
+        let of_leaves = tree.trees.first().into_iter().flat_map(|tree| tree.groups.iter().take(leaves));
+        let light = of_leaves.map(|group| f64::from(group.area)).collect();
+        KnownGroups { tree, light, groups: Vec::new() }
+    }
+
+    /// Takes a group in. `false` where one of nearly the same leaves is known.
+    fn adds(&mut self, group: &GroupCandidate) -> bool {
+        let leaves = self.tree.leaves_of(group);
+        let own = self.light.iter().zip(&leaves).enumerate().filter(|(_, (_, inside))| **inside);
+        let own: Vec<(usize, f64)> = own.map(|(leaf, (light, _))| (leaf, *light)).collect();
+        let light: f64 = own.iter().map(|(_, light)| light).sum();
+        let alike = self.groups.iter().any(|(other, of_other)| {
+            // Whatever they share, their IoU is no more than the ratio of their light.
+            if light.min(*of_other) < ALIKE_HOLDERS * light.max(*of_other) {
+                return false;
+            }
+            let shared: f64 = own.iter().filter(|(leaf, _)| other[*leaf]).map(|(_, light)| light).sum();
+            shared >= ALIKE_HOLDERS * (light + of_other - shared)
+        });
+        if !alike {
+            self.groups.push((leaves, light));
+        }
+        !alike
+    }
+}
+
+/// The first of both, then the second of both, and so on.
+fn by_turns<T>(one: Vec<T>, other: Vec<T>) -> Vec<T> {
+    let (mut one, mut other) = (one.into_iter(), other.into_iter());
+    let mut all = Vec::with_capacity(one.len() + other.len());
+    while one.len() + other.len() > 0 {
+        all.extend(one.next().into_iter().chain(other.next()));
+    }
+    all
+}
+
 impl SceneTree {
-    /// Groups that a text may describe: the scene's parts in their order, then groups that hold one, then groups that make one up;
-    /// at most [`MOST_DESCRIBABLE`], no smaller than a candidate of a click, and none that is the scene.
+    /// Groups that a text may describe: the scene's parts in their order, then by turns a group that holds one and a group that makes
+    /// one up, each kind by the order of the parts. Of groups that hold parts, none has nearly the leaves of another. They are at
+    /// most [`MOST_DESCRIBABLE`], no smaller than a candidate of a click, and none is the scene.
     pub fn describable(&self) -> Vec<GroupCandidate> {
         let parts = self.parts().groups;
         let children: Vec<Vec<[u32; 2]>> = (0..self.trees.len()).map(|tree| self.children(tree)).collect();
         let mut known: HashSet<(usize, u32)> = parts.iter().map(|part| part.nodes[0]).collect();
         let (mut above, mut below) = (Vec::new(), Vec::new());
+        let mut holders = KnownGroups::of(self);
+        for part in &parts {
+            holders.adds(part);
+        }
         for &(tree, node) in parts.iter().map(|part| &part.nodes[0]) {
             above.extend(
                 self.holders(tree, node)
                     .into_iter()
-                    .filter(|holder| known.insert((tree, *holder)))
+                    .filter(|holder| {
+                        known.insert((tree, *holder)) && holders.adds(&self.described(tree, *holder))
+                    })
                     .map(|holder| (tree, holder)),
             );
             let mut level = vec![node];
@@ -42,7 +101,7 @@ impl SceneTree {
                 );
             }
         }
-        let more = above.into_iter().chain(below).map(|(tree, node)| self.described(tree, node));
+        let more = by_turns(above, below).into_iter().map(|(tree, node)| self.described(tree, node));
         parts.into_iter().chain(more).take(MOST_DESCRIBABLE).collect()
     }
 
@@ -124,6 +183,11 @@ mod tests {
         let children = tree.children(0);
         assert_eq!(tree.halves(0, 7, &children), Some([6, 3]));
         assert_eq!((tree.halves(0, 6, &children), tree.halves(0, 5, &children)), (Some([5, 2]), None));
+        let mut known = KnownGroups::of(&tree);
+        let adds = [(0, 7), (3, 7), (0, 6), (1, 0), (2, 5), (2, 2)]
+            .map(|(of, node)| known.adds(&tree.described(of, node)));
+        assert_eq!(adds, [true, false, true, true, false, true], "by whichever tree; 5 is 0 and a crumb");
+        assert_eq!(by_turns(vec![1, 2, 3], vec![7]), [1, 7, 2, 3]);
         let found = tree.describable();
         assert!(found.len() <= MOST_DESCRIBABLE && found.iter().all(|group| group.area <= SCENE_AREA));
         let parts = tree.parts().groups;
