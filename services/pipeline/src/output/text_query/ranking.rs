@@ -28,9 +28,9 @@ const MOST_OBJECTS: usize = 32;
 const MARGIN: f32 = 0.1;
 /// Share of the smaller one that two objects of a sort may have in common (section 13.1). By choice, as for the scene's list.
 const MAX_SHARED: f64 = 0.1;
-/// Score under which a group is likelier to be something else than what the text describes (section 13.1).
+/// Score `p_0` under which a group is likelier to be something else than what the text describes (section 13.1).
 const MIN_SCORE: f32 = 0.5;
-/// Photos in which all objects of a sort are prompted, at most: each costs a query of its own. By choice.
+/// Photos in which all objects of a sort are prompted, at most (section 13.1): each costs a mask and its refinement. By choice.
 const MOST_PROMPTED: usize = 4;
 
 /// What a text may mean: a group of the scene tree, or all of a sort together.
