@@ -105,7 +105,7 @@ segwild_scene::settings! {
         first_answer: FirstAnswer = FirstAnswer::Tree,
         /// Boundaries of the trees that answer the first click; further clicks correct the answer by all trees.
         tree_boundaries: TreeBoundaries = TreeBoundaries::All,
-        /// Which of the listed alternatives is selected; the last one where there are fewer. A text has up to 32.
+        /// Which of the listed alternatives is selected.
         alternative: u32 = 0 => 0..=31,
         /// Least fused cosine similarity to the positive clicks, in [-1, 1] (paper, Eq. 28).
         tau: f32 = 0.5 => -1.0..=1.0,
