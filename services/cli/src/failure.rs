@@ -198,7 +198,7 @@ impl From<FarmSweepError> for Failure {
 impl From<ArtefactError> for Failure {
     fn from(error: ArtefactError) -> Failure {
         let code = match &error {
-            ArtefactError::Address { .. } => exit::USAGE,
+            ArtefactError::Address { .. } | ArtefactError::OtherStore { .. } => exit::USAGE,
             ArtefactError::Unfit { .. } | ArtefactError::Manifest { .. } => exit::INPUT,
             ArtefactError::Missing { .. } | ArtefactError::Damaged { .. } | ArtefactError::Store { .. } => {
                 exit::INCOMPLETE

@@ -45,6 +45,16 @@ pub enum ArtefactError {
         /// The digest of what came.
         found: ArtefactDigest,
     },
+    /// The store has no folder of those who are to use it.
+    #[error(
+        "{store} has none of the {folders} folders that the farm's scenes refer to, so it seems to be another farm's store: check --artefacts, which is the same for a sweep as for the farm's workers"
+    )]
+    OtherStore {
+        /// Which store.
+        store: String,
+        /// How many folders it should have.
+        folders: usize,
+    },
     /// A file has other bytes than its digest promises.
     #[error("{} is not the artefact {digest}: it has changed while it was read; try again when nobody writes it", path.display())]
     Changed {

@@ -6,12 +6,13 @@ use std::pin::Pin;
 use std::task::{Context as TaskContext, Poll, ready};
 use std::time::Duration;
 
+use async_nats::jetstream;
+use async_nats::jetstream::context::PublishErrorKind;
 use async_nats::jetstream::object_store::{
-    Config, DeleteErrorKind, GetErrorKind, InfoErrorKind, ObjectInfo, ObjectMetadata, ObjectStore,
-    UpdateMetadata,
+    Config, GetErrorKind, InfoErrorKind, ObjectInfo, ObjectMetadata, ObjectStore,
 };
-use async_nats::jetstream::{self, stream::StorageType};
-use futures_util::StreamExt;
+use async_nats::jetstream::stream::{LastRawMessageErrorKind, StorageType, Stream};
+use async_nats::{HeaderMap, header};
 use tokio::io::{AsyncRead, AsyncReadExt, ReadBuf};
 use tokio::runtime::Handle;
 use tokio::sync::mpsc;
@@ -19,25 +20,26 @@ use tokio::sync::mpsc;
 use super::calls::StoreCalls;
 use super::digest::ArtefactDigest;
 use super::error::ArtefactError;
-use super::store::{ArtefactStore, StoredArtefact, seconds_now};
-use super::transfer::{Outgoing, receive};
+use super::store::{ArtefactStore, RENEWED_AFTER, StoredArtefact, seconds_now};
+use super::transfer::{CallFailure, Outgoing, SILENCE, receive, show_listed};
 
 /// Bytes of a message.
 const PIECE: usize = 128 << 10;
 /// Pieces that wait to be sent or written.
 const AHEAD: usize = 16;
-/// Artefacts that are listed before they are looked at.
-const LISTED_AHEAD: usize = 1024;
-/// A server that delivers nothing for so long is given up.
-const SILENCE: Duration = Duration::from_secs(60);
-/// How the description of an object starts that was renewed: the time follows, in seconds since 1970. The client keeps the
-/// object's own time when it changes a description.
+/// How the description of an object starts that was renewed: the time follows, in seconds since 1970. The object's own time
+/// stays that at which its bytes came.
 const RENEWED: &str = "renewed at ";
+/// How often a description is written again that somebody else has written meanwhile.
+const TRIES: usize = 8;
 
 /// A store of artefacts in an object store bucket of JetStream.
 pub struct JetStreamArtefacts {
     name: String,
     bucket: ObjectStore,
+    messages: BucketMessages,
+    /// What has been there for so long is renewed when it is stored again.
+    renewed_after: Duration,
     calls: StoreCalls,
 }
 
@@ -46,9 +48,6 @@ impl std::fmt::Debug for JetStreamArtefacts {
         f.debug_struct("JetStreamArtefacts").field("name", &self.name).finish_non_exhaustive()
     }
 }
-
-/// Why a call has no result.
-type Failure = Box<dyn std::error::Error + Send + Sync>;
 
 impl JetStreamArtefacts {
     /// The bucket of a name, made if it is not there. `runtime` is the one on which the client of `context` runs.
@@ -60,38 +59,54 @@ impl JetStreamArtefacts {
         let name = format!("the bucket {bucket} of JetStream");
         let wanted = bucket.to_owned();
         let opened = calls.wait(async move {
-            match context.get_object_store(&wanted).await {
-                Ok(bucket) => Ok(bucket),
+            let bucket = match context.get_object_store(&wanted).await {
+                Ok(bucket) => bucket,
                 // It is not there, or the server cannot be reached: then making it fails, too.
                 Err(_) => {
-                    let config = Config { bucket: wanted, storage: StorageType::File, ..Config::default() };
-                    context.create_object_store(config).await
+                    let bucket = wanted.clone();
+                    let config = Config { bucket, storage: StorageType::File, ..Config::default() };
+                    context.create_object_store(config).await?
                 }
-            }
+            };
+            let stream = context.get_stream(format!("OBJ_{wanted}")).await?;
+            Ok::<_, CallFailure>((bucket, BucketMessages { context, stream, bucket: wanted }))
         });
-        let failed = |source: Failure| ArtefactError::Store {
+        let failed = |source: CallFailure| ArtefactError::Store {
             store: name.clone(),
             action: "open the bucket".into(),
             source,
         };
-        let bucket = opened.map_err(|e| failed(e.into()))?.map_err(|e| failed(e.into()))?;
-        Ok(Self { name, bucket, calls })
+        let (bucket, messages) = opened.map_err(|e| failed(e.into()))?.map_err(failed)?;
+        Ok(Self { name, bucket, messages, renewed_after: RENEWED_AFTER, calls })
     }
 
-    /// Renews an artefact without its bytes; `false` where that fails, or it went meanwhile.
+    /// The same store, which renews what is stored again once it has been there for so long (10 h otherwise).
+    #[must_use]
+    pub fn renewing_after(mut self, age: Duration) -> Self {
+        self.renewed_after = age;
+        self
+    }
+
+    /// Renews an artefact without its bytes; `false` where that fails, or it went meanwhile: one that was removed stays so.
     fn renew(&self, digest: &ArtefactDigest) -> bool {
-        let (bucket, name) = (self.bucket.clone(), digest.to_string());
-        let description = Some(format!("{RENEWED}{}", seconds_now()));
+        let (messages, name) = (self.messages.clone(), digest.to_string());
         let renewed = self.calls.wait(async move {
-            let key = name.clone();
-            bucket
-                .update_metadata(key, UpdateMetadata { name, description, ..UpdateMetadata::default() })
-                .await
+            for _ in 0..TRIES {
+                let Some((mut info, last)) = messages.described(&name).await? else { return Ok(false) };
+                if info.deleted {
+                    return Ok(false);
+                }
+                info.description = Some(format!("{RENEWED}{}", seconds_now()));
+                if messages.describe(&info, last).await? {
+                    return Ok(true);
+                }
+            }
+            Ok::<_, CallFailure>(false)
         });
-        matches!(renewed, Ok(Ok(info)) if !info.deleted)
+        matches!(renewed, Ok(Ok(true)))
     }
 
-    fn failed(&self, action: &str, digest: &ArtefactDigest) -> impl Fn(Failure) -> ArtefactError + use<> {
+    fn failed(&self, action: &str, digest: &ArtefactDigest) -> impl Fn(CallFailure) -> ArtefactError + use<> {
         let (store, action) = (self.name.clone(), format!("{action} the artefact {digest}"));
         move |source| ArtefactError::Store { store: store.clone(), action: action.clone(), source }
     }
@@ -115,52 +130,37 @@ impl ArtefactStore for JetStreamArtefacts {
 
     fn list(&self, show: &mut dyn FnMut(StoredArtefact)) -> Result<(), ArtefactError> {
         let bucket = self.bucket.clone();
-        let (send, mut found) = mpsc::channel::<Result<ObjectInfo, Failure>>(LISTED_AHEAD);
-        // Ends when all is listed, or nobody takes more.
-        let _under_way = self.calls.start(async move {
-            let mut list = match bucket.list().await {
-                Ok(list) => list,
-                // Where nobody listens, nobody wants to know.
-                Err(error) => return drop(send.send(Err(error.into())).await),
-            };
-            loop {
-                let next = match tokio::time::timeout(SILENCE, list.next()).await {
-                    Ok(Some(next)) => next.map_err(Failure::from),
-                    Ok(None) => break,
-                    Err(elapsed) => Err(elapsed.into()),
-                };
-                let ends = next.is_err();
-                if send.send(next).await.is_err() || ends {
-                    break;
-                }
-            }
-        });
-        while let Some(next) = found.blocking_recv() {
-            let info = next.map_err(|source| ArtefactError::Store {
-                store: self.name.clone(),
-                action: "list the artefacts".into(),
-                source,
-            })?;
+        let open = async move { bucket.list().await.map_err(CallFailure::from) };
+        show_listed(&self.calls, &self.name, open, &mut |info: ObjectInfo| {
             if let Some(artefact) = listed(&info) {
                 show(artefact);
             }
-        }
-        Ok(())
+        })
     }
 
-    fn remove(&self, digest: &ArtefactDigest) -> Result<(), ArtefactError> {
-        let (bucket, key) = (self.bucket.clone(), digest.to_string());
+    fn remove_older(&self, digest: &ArtefactDigest, least: Duration) -> Result<bool, ArtefactError> {
+        let (messages, name) = (self.messages.clone(), digest.to_string());
         let failed = self.failed("remove", digest);
-        let removed = self.calls.wait(async move { bucket.delete(key).await });
-        match removed.map_err(|e| failed(e.into()))? {
-            Ok(()) => Ok(()),
-            Err(error) if matches!(error.kind(), DeleteErrorKind::NotFound) => Ok(()),
-            Err(error) => Err(failed(error.into())),
-        }
+        let removed = self.calls.wait(async move {
+            for _ in 0..TRIES {
+                let Some((mut info, last)) = messages.described(&name).await? else { return Ok(false) };
+                if !listed(&info).is_some_and(|there| there.is_older(least)) {
+                    return Ok(false);
+                }
+                (info.chunks, info.size, info.deleted) = (0, 0, true);
+                // Who has renewed it since has described it otherwise.
+                if messages.describe(&info, last).await? {
+                    messages.remove_pieces(&info).await?;
+                    return Ok(true);
+                }
+            }
+            Ok::<_, CallFailure>(false)
+        });
+        removed.map_err(|e| failed(e.into()))?.map_err(failed)
     }
 
     fn put(&self, digest: &ArtefactDigest, file: &Path) -> Result<(), ArtefactError> {
-        if self.find(digest)?.is_some_and(|there| !there.is_old() || self.renew(digest)) {
+        if self.find(digest)?.is_some_and(|there| !there.is_older(self.renewed_after) || self.renew(digest)) {
             return Ok(());
         }
         let failed = self.failed("store", digest);
@@ -213,8 +213,8 @@ impl ArtefactStore for JetStreamArtefacts {
             loop {
                 let mut piece = Vec::with_capacity(PIECE);
                 let read = match tokio::time::timeout(SILENCE, object.read_buf(&mut piece)).await {
-                    Ok(read) => read.map_err(Failure::from),
-                    Err(elapsed) => Err(elapsed.into()),
+                    Ok(read) => read.map_err(CallFailure::from),
+                    Err(elapsed) => Err(CallFailure::from(elapsed)),
                 };
                 let ends = read.as_ref().map_or(true, |n| *n == 0);
                 let piece = read.map(|_| piece).map_err(&failed);
@@ -225,6 +225,70 @@ impl ArtefactStore for JetStreamArtefacts {
         });
         receive(&self.name, digest, to, || pieces.blocking_recv())
     }
+}
+
+/// What the bucket's client has no call for: who describes an object names the description that was there before. So of two who
+/// do that at once, one sees that the other was first.
+#[derive(Clone)]
+struct BucketMessages {
+    context: jetstream::Context,
+    stream: Stream,
+    bucket: String,
+}
+
+impl BucketMessages {
+    /// An object as it is described, and the number of the message that does so; `None` where none ever was.
+    async fn described(&self, object: &str) -> Result<Option<(ObjectInfo, u64)>, CallFailure> {
+        match self.stream.get_last_raw_message_by_subject(&self.subject(object)).await {
+            Ok(message) => Ok(Some((serde_json::from_slice(&message.payload)?, message.sequence))),
+            Err(error) if matches!(error.kind(), LastRawMessageErrorKind::NoMessageFound) => Ok(None),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Describes an object; `false` where message `last` is not its description any more.
+    async fn describe(&self, info: &ObjectInfo, last: u64) -> Result<bool, CallFailure> {
+        let mut headers = HeaderMap::new();
+        // It replaces the description before it.
+        headers.insert(header::NATS_ROLLUP, "sub");
+        headers.insert(header::NATS_EXPECTED_LAST_SUBJECT_SEQUENCE, last.to_string());
+        let message = serde_json::to_vec(info)?;
+        let sent = self.context.publish_with_headers(self.subject(&info.name), headers, message.into()).await;
+        let answer = match sent {
+            Ok(answer) => answer.await,
+            Err(error) => Err(error),
+        };
+        match answer {
+            Ok(_) => Ok(true),
+            Err(error) if matches!(error.kind(), PublishErrorKind::WrongLastSequence) => Ok(false),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Removes the bytes of an object.
+    async fn remove_pieces(&self, info: &ObjectInfo) -> Result<(), CallFailure> {
+        self.stream.purge().filter(format!("$O.{}.C.{}", self.bucket, info.nuid)).await?;
+        Ok(())
+    }
+
+    fn subject(&self, object: &str) -> String {
+        format!("$O.{}.M.{}", self.bucket, base64_of(object))
+    }
+}
+
+/// A name as it stands in the subject of its description: in the base64 of RFC 4648, section 5, as NATS' clients agree on.
+fn base64_of(name: &str) -> String {
+    const SIGNS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_";
+    let mut text = String::new();
+    for bytes in name.as_bytes().chunks(3) {
+        let byte = |i: usize| usize::from(bytes.get(i).copied().unwrap_or_default());
+        let bits = (byte(0) << 16) | (byte(1) << 8) | byte(2);
+        for sign in 0..4 {
+            let sixth = (bits >> (18 - 6 * sign)) & 63;
+            text.push(if sign <= bytes.len() { char::from(SIGNS[sixth]) } else { '=' });
+        }
+    }
+    text
 }
 
 /// An object as an artefact; `None` for what is none of ours, or was removed.
@@ -273,5 +337,27 @@ impl AsyncRead for Pieces {
         buffer.put_slice(&self.current[self.read..end]);
         self.read = end;
         Poll::Ready(Ok(()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::base64_of;
+
+    #[test]
+    fn names_have_the_base64_of_the_standard() {
+        // RFC 4648, section 10, and a sign of section 5 alone.
+        for (name, text) in [
+            ("", ""),
+            ("f", "Zg=="),
+            ("fo", "Zm8="),
+            ("foo", "Zm9v"),
+            ("foob", "Zm9vYg=="),
+            ("fooba", "Zm9vYmE="),
+            ("foobar", "Zm9vYmFy"),
+            ("??>", "Pz8-"),
+        ] {
+            assert_eq!(base64_of(name), text, "{name}");
+        }
     }
 }

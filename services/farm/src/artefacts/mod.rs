@@ -1,6 +1,6 @@
 //! Artefacts between machines: files by the BLAKE3 of their bytes, in a store that every machine reaches.
 //!
-//! - [`ArtefactStore`]: has, put, get, list, remove. [`ObjectArtefacts`] is a shared folder or S3; [`JetStreamArtefacts`] a bucket of the
+//! - [`ArtefactStore`]: has, put, get, list, remove what is old. [`ObjectArtefacts`] is a shared folder or S3; [`JetStreamArtefacts`] a bucket of the
 //!   NATS server that a small farm has anyway. Whatever a store delivers is verified before it takes a name.
 //! - [`FolderManifest`]: a folder as a list of files and digests; it is an artefact, too, so a folder has one digest.
 //! - [`ArtefactSession`]: stores and fetches folders and runs. A run is copied while its process writes it, and continues on
@@ -29,6 +29,7 @@
 mod calls;
 mod digest;
 mod error;
+mod folder;
 mod http;
 mod jetstream;
 mod manifest;

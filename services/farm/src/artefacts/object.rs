@@ -1,9 +1,8 @@
 //! Artefacts in a shared folder or on S3.
 
-use std::fs::File;
 use std::path::{Path as FilePath, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use futures_util::StreamExt;
 use object_store::aws::AmazonS3Builder;
@@ -14,9 +13,10 @@ use object_store::{MultipartUpload, ObjectMeta, ObjectStore, ObjectStoreExt, Put
 use super::calls::StoreCalls;
 use super::digest::ArtefactDigest;
 use super::error::{ArtefactError, StoreAddressError};
+use super::folder;
 use super::http::HyperConnector;
-use super::store::{ArtefactStore, StoredArtefact};
-use super::transfer::{Outgoing, receive};
+use super::store::{ArtefactStore, RENEWED_AFTER, StoredArtefact};
+use super::transfer::{Outgoing, SILENCE, receive, show_listed};
 use crate::pending::ShutDown;
 
 /// Bytes of a part; two are in memory at once. S3 takes no less than 5 MiB.
@@ -25,10 +25,6 @@ const PART: usize = 6 << 20;
 const PARTS: u64 = 9000;
 /// Pieces that are received before they are written.
 const AHEAD: usize = 8;
-/// Artefacts that are listed before they are looked at.
-const LISTED_AHEAD: usize = 1024;
-/// A store that delivers nothing for so long is given up.
-const SILENCE: Duration = Duration::from_secs(60);
 /// The environment's names of an endpoint, as S3's clients know them; the first that is set holds.
 const ENDPOINTS: [&str; 3] = ["AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT"];
 
@@ -44,6 +40,8 @@ pub struct ObjectArtefacts {
     prefix: Path,
     /// The shared folder, where it is one.
     folder: Option<PathBuf>,
+    /// What has been there for so long is renewed when it is stored again.
+    renewed_after: Duration,
     calls: StoreCalls,
 }
 
@@ -76,7 +74,14 @@ impl ObjectArtefacts {
             None => (folder_at(address, &wrong)?, Path::default(), Some(address.into())),
         };
         let calls = StoreCalls::own().map_err(|e| wrong(StoreAddressError::Thread(e)))?;
-        Ok(Self { name: address.to_owned(), store, prefix, folder, calls })
+        Ok(Self { name: address.to_owned(), store, prefix, folder, renewed_after: RENEWED_AFTER, calls })
+    }
+
+    /// The same store, which renews what is stored again once it has been there for so long (10 h otherwise).
+    #[must_use]
+    pub fn renewing_after(mut self, age: Duration) -> Self {
+        self.renewed_after = age;
+        self
     }
 
     fn key(&self, digest: &ArtefactDigest) -> Path {
@@ -106,12 +111,24 @@ impl ObjectArtefacts {
 
     /// Renews an artefact without its bytes; whether that was possible. S3 has no such call: there it is stored again.
     fn touch(&self, digest: &ArtefactDigest) -> bool {
-        let Some(folder) = &self.folder else { return false };
-        let hex = digest.to_string();
-        let path = folder.join(&hex[..2]).join(&hex);
-        // Another user's file has a time that only that user sets. One that went meanwhile has none.
-        let touched = File::open(&path).and_then(|file| file.set_modified(SystemTime::now()));
-        touched.is_ok() && path.is_file()
+        self.folder.as_ref().is_some_and(|folder| folder::touch(folder, digest))
+    }
+
+    /// Stores the bytes of a file; with `PutMode::Create`, a small one only if it is not there.
+    fn store_bytes(
+        &self,
+        digest: &ArtefactDigest,
+        file: &FilePath,
+        mode: PutMode,
+    ) -> Result<(), ArtefactError> {
+        let mut file = Outgoing::open(digest, file)?;
+        let part = PART.max(usize::try_from(file.length()? / PARTS).unwrap_or(usize::MAX));
+        let first = file.piece(part)?;
+        if first.len() < part {
+            file.check()?;
+            return self.put_small(digest, first, mode);
+        }
+        self.put_large(digest, file, first, part)
     }
 
     /// In one piece; with `PutMode::Create`, only if it is not there.
@@ -216,60 +233,54 @@ impl ArtefactStore for ObjectArtefacts {
 
     fn list(&self, show: &mut dyn FnMut(StoredArtefact)) -> Result<(), ArtefactError> {
         let (store, prefix) = (self.store.clone(), self.prefix.clone());
-        let (send, mut found) = tokio::sync::mpsc::channel(LISTED_AHEAD);
-        // Ends when all is listed, or nobody takes more.
-        let _under_way = self.calls.start(async move {
-            let mut stream = store.list(Some(&prefix));
-            loop {
-                let next: Result<ObjectMeta, Box<dyn std::error::Error + Send + Sync>> =
-                    match tokio::time::timeout(SILENCE, stream.next()).await {
-                        Ok(Some(next)) => next.map_err(Into::into),
-                        Ok(None) => break,
-                        Err(elapsed) => Err(elapsed.into()),
-                    };
-                let ends = next.is_err();
-                if send.send(next).await.is_err() || ends {
-                    break;
-                }
-            }
-        });
-        while let Some(next) = found.blocking_recv() {
-            let meta = next.map_err(|source| ArtefactError::Store {
-                store: self.name.clone(),
-                action: "list the artefacts".into(),
-                source,
-            })?;
+        // A folder is read on threads of the runtime on which the list is made.
+        let open = async move { Ok(store.list(Some(&prefix))) };
+        show_listed(&self.calls, &self.name, open, &mut |meta: ObjectMeta| {
             if let Some(artefact) = self.listed(&meta) {
                 show(artefact);
             }
-        }
-        Ok(())
+        })
     }
 
-    fn remove(&self, digest: &ArtefactDigest) -> Result<(), ArtefactError> {
+    fn remove_older(&self, digest: &ArtefactDigest, least: Duration) -> Result<bool, ArtefactError> {
+        if let Some(folder) = &self.folder {
+            return Ok(folder::remove_older(folder, digest, least)?);
+        }
+        // S3 removes without a condition: who has stored it again since this looks once more whether it is there.
+        if !self.find(digest)?.is_some_and(|there| there.is_older(least)) {
+            return Ok(false);
+        }
         let (store, key) = (self.store.clone(), self.key(digest));
         let removed = self.calls.wait(async move { store.delete(&key).await });
         match removed.map_err(self.failed::<ShutDown>("remove", digest))? {
-            Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+            Ok(()) => Ok(true),
+            Err(object_store::Error::NotFound { .. }) => Ok(false),
             Err(error) => Err(self.failed("remove", digest)(error)),
         }
     }
 
+    fn bring_back(&self) -> Result<(), ArtefactError> {
+        Ok(self.folder.as_ref().map_or(Ok(()), |folder| folder::bring_back(folder))?)
+    }
+
+    fn remove_interrupted(&self, least: Duration) -> Result<(), ArtefactError> {
+        Ok(self.folder.as_ref().map_or(Ok(()), |folder| folder::remove_interrupted(folder, least))?)
+    }
+
     fn put(&self, digest: &ArtefactDigest, file: &FilePath) -> Result<(), ArtefactError> {
         let there = self.find(digest)?;
-        if there.is_some_and(|there| !there.is_old() || self.touch(digest)) {
+        if there.is_some_and(|there| !there.is_older(self.renewed_after) || self.touch(digest)) {
             return Ok(());
         }
-        // One that is old is written over, with the same bytes.
-        let mode = if there.is_some() { PutMode::Overwrite } else { PutMode::Create };
-        let mut file = Outgoing::open(digest, file)?;
-        let part = PART.max(usize::try_from(file.length()? / PARTS).unwrap_or(usize::MAX));
-        let first = file.piece(part)?;
-        if first.len() < part {
-            file.check()?;
-            return self.put_small(digest, first, mode);
+        // One that is old is written over, with the same bytes. So is one of a folder that comes back only now: it may be old.
+        let over = there.is_some() || self.folder.is_some();
+        let mode = if over { PutMode::Overwrite } else { PutMode::Create };
+        self.store_bytes(digest, file, mode)?;
+        // A removal that had found the old one may have hit the new one.
+        if there.is_some() && self.folder.is_none() && !self.has(digest)? {
+            self.store_bytes(digest, file, PutMode::Create)?;
         }
-        self.put_large(digest, file, first, part)
+        Ok(())
     }
 
     fn get(&self, digest: &ArtefactDigest, to: &FilePath) -> Result<(), ArtefactError> {

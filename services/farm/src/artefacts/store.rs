@@ -10,7 +10,7 @@ use super::error::ArtefactError;
 
 /// An artefact that has been in a store for longer is renewed when somebody stores it again: a sweep removes by age, and must
 /// not remove what somebody counts on. With what a session remembers, it is less than half of the least age (`sweep.rs`).
-const RENEWED_AFTER: Duration = Duration::from_secs(10 * 3600);
+pub(super) const RENEWED_AFTER: Duration = Duration::from_secs(10 * 3600);
 
 /// An artefact that a store has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -61,11 +61,28 @@ pub trait ArtefactStore: Send + Sync {
     /// When the store cannot be reached; some artefacts may have been shown before.
     fn list(&self, show: &mut dyn FnMut(StoredArtefact)) -> Result<(), ArtefactError>;
 
-    /// Removes an artefact; one that is not there is no error.
+    /// Removes an artefact that has been in the store for at least so long; whether it did. What is there and what is removed is
+    /// decided in one step, as far as the store can: who renews an artefact meanwhile keeps it, or sees that it is gone.
     ///
     /// # Errors
     /// When the store cannot be reached or refuses.
-    fn remove(&self, digest: &ArtefactDigest) -> Result<(), ArtefactError>;
+    fn remove_older(&self, digest: &ArtefactDigest, least: Duration) -> Result<bool, ArtefactError>;
+
+    /// Brings back what a removal that was killed has left neither there nor removed, where the store knows such a state.
+    ///
+    /// # Errors
+    /// When the store cannot be reached or refuses.
+    fn bring_back(&self) -> Result<(), ArtefactError> {
+        Ok(())
+    }
+
+    /// Removes what interrupted transfers left and nobody has written for at least so long, where the store shows it.
+    ///
+    /// # Errors
+    /// When the store cannot be reached or refuses.
+    fn remove_interrupted(&self, _least: Duration) -> Result<(), ArtefactError> {
+        Ok(())
+    }
 }
 
 /// The time in seconds since 1970.
@@ -74,13 +91,8 @@ pub(super) fn seconds_now() -> u64 {
 }
 
 impl StoredArtefact {
-    /// Its age in seconds; 0 where another machine's clock is ahead.
-    pub(super) fn age(&self) -> u64 {
-        seconds_now().saturating_sub(self.since)
-    }
-
-    /// Whether who stores it again has to renew it.
-    pub(super) fn is_old(&self) -> bool {
-        self.age() > RENEWED_AFTER.as_secs()
+    /// Whether it has been there for at least so long; one whose time lies ahead, by another machine's clock, has not, but for 0.
+    pub(super) fn is_older(&self, least: Duration) -> bool {
+        seconds_now().saturating_sub(self.since) >= least.as_secs()
     }
 }

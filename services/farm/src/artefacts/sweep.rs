@@ -50,11 +50,12 @@ pub struct SweptArtefacts {
 
 impl ArtefactSession {
     /// Removes what is older than an age, at least [`LEAST_AGE`], and what no folder of those that `roots` names consists of.
-    /// `roots` is called after the store was listed. Each artefact is shown before it is removed; with `dry_run`, none is.
+    /// `roots` is called after the store was listed. Each artefact is shown once it is removed; with `dry_run`, none is. What
+    /// others renew or remove meanwhile is not counted.
     ///
     /// # Errors
-    /// What `roots` reports; when a folder that it names cannot be read, or the store cannot be reached. Before the first one
-    /// is removed, all folders were read.
+    /// What `roots` reports; [`ArtefactError::OtherStore`] when the store has none of the folders that it names; when one of them
+    /// cannot be read, or the store cannot be reached. Before the first one is removed, all folders were read.
     pub fn sweep<E: From<ArtefactError>>(
         &self,
         older_than: Duration,
@@ -62,10 +63,11 @@ impl ArtefactSession {
         roots: impl FnOnce() -> Result<BTreeSet<ArtefactDigest>, E>,
         show: &mut dyn FnMut(&StoredArtefact),
     ) -> Result<SweptArtefacts, E> {
-        let least = older_than.max(LEAST_AGE).as_secs();
+        let least = older_than.max(LEAST_AGE);
+        self.store().bring_back()?;
         let mut swept = SweptArtefacts::default();
         let mut old = Vec::new();
-        self.store().list(&mut |artefact| match artefact.age() > least {
+        self.store().list(&mut |artefact| match artefact.is_older(least) {
             true => old.push(artefact),
             false => swept.young.add(&artefact),
         })?;
@@ -75,27 +77,21 @@ impl ArtefactSession {
                 swept.used.add(&artefact);
                 continue;
             }
-            if !dry_run {
-                // Somebody may have renewed it, or removed it, since it was listed.
-                match self.store().find(&artefact.digest)? {
-                    Some(now) if now.age() <= least => {
-                        swept.young.add(&now);
-                        continue;
-                    }
-                    None => continue,
-                    Some(_) => {}
-                }
+            // Somebody may have renewed it, or removed it, since it was listed.
+            if !dry_run && !self.store().remove_older(&artefact.digest, least)? {
+                continue;
             }
             show(&artefact);
-            if !dry_run {
-                self.store().remove(&artefact.digest)?;
-            }
             swept.removed.add(&artefact);
+        }
+        if !dry_run {
+            self.store().remove_interrupted(least)?;
         }
         Ok(swept)
     }
 
-    /// These folders' manifests and all of their files. Folders that the store does not have are counted.
+    /// These folders' manifests and all of their files. Folders that the store does not have are counted; it has to have one of
+    /// them, or it is the store of others, who need what is in it.
     fn used_by(
         &self,
         roots: &BTreeSet<ArtefactDigest>,
@@ -109,6 +105,9 @@ impl ArtefactSession {
                 read.map(|manifest| Some(manifest.files().iter().map(|file| file.digest).collect::<Vec<_>>()))
             }
         })?;
+        if folders.iter().all(Option::is_none) {
+            return Err(ArtefactError::OtherStore { store: self.store().name(), folders: roots.len() });
+        }
         *missing = folders.iter().filter(|folder| folder.is_none()).count() as u64;
         Ok(folders.into_iter().flatten().flatten().chain(roots).collect())
     }

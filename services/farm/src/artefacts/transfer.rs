@@ -1,14 +1,26 @@
-//! Files piece by piece, hashed on the way.
+//! Files piece by piece, hashed on the way; and lists, entry by entry.
 
 use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
+use futures_util::{Stream, StreamExt};
 use segwild_flow::FileError;
 use segwild_flow::files::{open_plain, write_with};
+use tokio::sync::mpsc;
 
+use super::calls::StoreCalls;
 use super::digest::ArtefactDigest;
 use super::error::ArtefactError;
+
+/// A store that delivers nothing for so long is given up.
+pub(super) const SILENCE: Duration = Duration::from_secs(60);
+/// Entries that are listed before they are shown.
+const LISTED_AHEAD: usize = 1024;
+
+/// Why a call of a store's client has no result.
+pub(super) type CallFailure = Box<dyn std::error::Error + Send + Sync>;
 
 /// A file that is sent.
 pub(super) struct Outgoing {
@@ -67,4 +79,46 @@ pub(super) fn receive<P: AsRef<[u8]>>(
         }
         Err(ArtefactError::Damaged { store: store.to_owned(), digest: *digest, found })
     })
+}
+
+/// Shows the entries of a list that a client delivers, in this thread.
+pub(super) fn show_listed<S, T, E>(
+    calls: &StoreCalls,
+    store: &str,
+    open: impl Future<Output = Result<S, CallFailure>> + Send + 'static,
+    show: &mut dyn FnMut(T),
+) -> Result<(), ArtefactError>
+where
+    S: Stream<Item = Result<T, E>> + Unpin + Send + 'static,
+    T: Send + 'static,
+    E: Into<CallFailure> + Send + 'static,
+{
+    let (send, mut found) = mpsc::channel::<Result<T, CallFailure>>(LISTED_AHEAD);
+    // Ends when all is listed, or nobody takes more.
+    let _under_way = calls.start(async move {
+        let mut list = match open.await {
+            Ok(list) => list,
+            // Where nobody listens, nobody wants to know.
+            Err(error) => return drop(send.send(Err(error)).await),
+        };
+        loop {
+            let next: Result<T, CallFailure> = match tokio::time::timeout(SILENCE, list.next()).await {
+                Ok(Some(next)) => next.map_err(Into::into),
+                Ok(None) => break,
+                Err(elapsed) => Err(elapsed.into()),
+            };
+            let ends = next.is_err();
+            if send.send(next).await.is_err() || ends {
+                break;
+            }
+        }
+    });
+    while let Some(next) = found.blocking_recv() {
+        show(next.map_err(|source| ArtefactError::Store {
+            store: store.to_owned(),
+            action: "list the artefacts".into(),
+            source,
+        })?);
+    }
+    Ok(())
 }

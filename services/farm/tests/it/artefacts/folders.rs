@@ -26,8 +26,8 @@ impl ArtefactStore for Counted {
     fn list(&self, show: &mut dyn FnMut(StoredArtefact)) -> Result<(), ArtefactError> {
         self.store.list(show)
     }
-    fn remove(&self, digest: &ArtefactDigest) -> Result<(), ArtefactError> {
-        self.store.remove(digest)
+    fn remove_older(&self, digest: &ArtefactDigest, least: Duration) -> Result<bool, ArtefactError> {
+        self.store.remove_older(digest, least)
     }
     fn put(&self, digest: &ArtefactDigest, file: &Path) -> Result<(), ArtefactError> {
         self.puts.fetch_add(1, Ordering::Relaxed);

@@ -6,7 +6,7 @@ use segwild_flow::process;
 use std::io::Write;
 use std::path::Path;
 use std::sync::Barrier;
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 const LARGE: usize = 70 << 20;
 /// A store takes no more memory than this for a file of any length, in bytes.
@@ -28,7 +28,7 @@ fn file_of(path: &Path, bytes: usize, seed: u64) -> ArtefactDigest {
     ArtefactDigest::of_file(path).unwrap().0
 }
 
-/// Everything that a store has to do. `write_other` puts other bytes in the store under a digest.
+/// Everything that a store has to do; it renews all that is stored again. `write_other` puts other bytes in the store under a digest.
 fn serves(store: &dyn ArtefactStore, write_other: &dyn Fn(&ArtefactDigest, &[u8])) {
     let dir = tempfile::tempdir().unwrap();
     let (from, to) = (dir.path().join("from"), dir.path().join("below/to"));
@@ -36,8 +36,10 @@ fn serves(store: &dyn ArtefactStore, write_other: &dyn Fn(&ArtefactDigest, &[u8]
         let digest = file_of(&from, bytes, seed as u64);
         assert!(!store.has(&digest).unwrap(), "{bytes}");
         store.put(&digest, &from).unwrap();
-        assert!(store.has(&digest).unwrap(), "{bytes}");
+        let stored = store.find(&digest).unwrap().expect("it is there");
         store.put(&digest, &from).unwrap();
+        let renewed = store.find(&digest).unwrap().expect("it is there still");
+        assert!(renewed.since >= stored.since && renewed.bytes == stored.bytes, "{stored:?}, {renewed:?}");
         store.get(&digest, &to).unwrap();
         assert!(std::fs::read(&from).unwrap() == std::fs::read(&to).unwrap(), "{bytes}");
     }
@@ -75,13 +77,17 @@ fn lists_and_removes(store: &dyn ArtefactStore, from: &Path) {
     assert!(found.digest == digest && found.bytes == 5000 && found.since.abs_diff(now) < 600, "{found:?}");
     let with = listed();
     assert!(before.len() > 6 && with.len() == before.len() + 1 && with.contains(&found), "{with:?}");
-    for _ in 0..2 {
-        store.remove(&digest).unwrap();
+    assert!(!store.remove_older(&digest, Duration::from_secs(3600)).unwrap(), "it is young");
+    assert!(store.has(&digest).unwrap());
+    for there in [true, false] {
+        assert_eq!(store.remove_older(&digest, Duration::ZERO).unwrap(), there);
         assert!(!store.has(&digest).unwrap());
     }
     assert_eq!(listed().len(), before.len());
     store.put(&digest, from).unwrap();
-    assert!(store.has(&digest).unwrap(), "it can be stored again");
+    let to = from.with_extension("again");
+    store.get(&digest, &to).unwrap();
+    assert_eq!(ArtefactDigest::of_file(&to).unwrap().0, digest, "it can be stored again");
 }
 
 fn is_bounded(store: &dyn ArtefactStore, from: &Path, to: &Path) {
@@ -141,7 +147,7 @@ fn a_shared_folder_serves() {
     let dir = tempfile::tempdir().unwrap();
     let shared = dir.path().join("shared farm");
     let store = ObjectArtefacts::open(&format!("file://{}", shared.display())).unwrap();
-    serves(&store, &|digest, bytes| {
+    serves(&store.renewing_after(Duration::ZERO), &|digest, bytes| {
         let path = shared.join(key(digest));
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
         std::fs::write(path, bytes).unwrap();
@@ -164,7 +170,7 @@ fn a_bucket_of_jetstream_serves() {
         async_nats::jetstream::new(client)
     };
     let open = || JetStreamArtefacts::open(context.clone(), "artefacts", runtime.handle().clone()).unwrap();
-    serves(&open(), &|digest, bytes| {
+    serves(&open().renewing_after(Duration::ZERO), &|digest, bytes| {
         runtime.block_on(async {
             let bucket = context.get_object_store("artefacts").await.unwrap();
             bucket.put(digest.to_string().as_str(), &mut &bytes[..]).await.unwrap();
@@ -180,7 +186,7 @@ const OWN_PROCESS: &str = "SEGWILD_TEST_S3";
 fn a_bucket_of_s3_serves() {
     if let Ok(url) = std::env::var(OWN_PROCESS) {
         let store = ObjectArtefacts::open("s3://farm/some/prefix").unwrap();
-        return serves(&store, &|digest, bytes| {
+        return serves(&store.renewing_after(Duration::ZERO), &|digest, bytes| {
             servers::put(&url, &format!("/farm/some/prefix/{}", key(digest)), bytes);
         });
     }

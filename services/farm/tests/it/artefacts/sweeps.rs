@@ -7,7 +7,7 @@ use segwild_farm::{
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Barrier};
 use std::time::{Duration, SystemTime};
 
 const HOUR: Duration = Duration::from_secs(3600);
@@ -162,7 +162,78 @@ fn nothing_is_removed_as_long_as_it_is_not_known_what_is_needed() {
     let error = farm.sweep(72, false).map(drop).unwrap_err().to_string();
     assert!(error.contains(&hex), "{error}");
     assert!(farm.has(&unused));
-    // One that is missing needs nothing any more, and is counted.
-    farm.store.remove(&photos).unwrap();
+    assert!(farm.store.remove_older(&photos, Duration::ZERO).unwrap());
+    // The only one is missing: that is another farm's store.
+    let other = farm.sweep(72, true).map(drop).unwrap_err();
+    assert!(matches!(other, FarmSweepError::Artefact(ArtefactError::OtherStore { .. })), "{other:?}");
+    // One of several that is missing needs nothing any more, and is counted.
+    let others = farm.stored("others", &["d"]);
+    farm.job("night/c", &others);
     assert_eq!(farm.sweep(72, true).unwrap().0.missing, 1);
+}
+
+#[test]
+fn the_store_of_another_farm_is_not_emptied() {
+    let dir = tempfile::tempdir().unwrap();
+    let [ours, theirs] = ["ours", "theirs"].map(|name| SweptFarm::in_folder(&dir.path().join(name)));
+    let [photos, needed] = [ours.stored("photos", &["a"]), theirs.stored("photos", &["b"])];
+    ours.job("night/a", &photos);
+    theirs.job("night/b", &needed);
+    theirs.age(100 * HOUR);
+    // The jobs of one farm, and the store of the other one, as with a wrong --artefacts.
+    let wrong = SweptFarm { store: theirs.store.clone(), ..ours };
+    for dry_run in [true, false] {
+        let refused = wrong.sweep(72, dry_run).map(drop);
+        let other =
+            matches!(&refused, Err(FarmSweepError::Artefact(ArtefactError::OtherStore { folders: 1, .. })));
+        assert!(other, "{refused:?}");
+    }
+    assert!(theirs.has(&needed));
+}
+
+#[test]
+fn what_killed_transfers_and_sweeps_left_is_removed_or_comes_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let farm = SweptFarm::in_folder(dir.path());
+    let photos = farm.stored("photos", &["a", "b"]);
+    farm.job("night/a", &photos);
+    let named = |digest: &ArtefactDigest, name: &str| {
+        dir.path().join("shared").join(&digest.to_string()[..2]).join(name)
+    };
+    let half = named(&photos, &format!("{photos}#1"));
+    std::fs::write(&half, "ha").unwrap();
+    let own = named(&photos, "notes#1");
+    std::fs::write(&own, "somebody's own").unwrap();
+    // A sweep that was killed had renamed the list of files: without it, the photos would seem to be needed by nobody.
+    let swept = named(&photos, &format!(".swept-{photos}.7.8.9"));
+    std::fs::rename(named(&photos, &photos.to_string()), &swept).unwrap();
+    assert_eq!(farm.sweep(72, false).unwrap().0.removed.artefacts, 0);
+    assert!(half.is_file(), "somebody may be writing it");
+    farm.age(100 * HOUR);
+    let (swept_now, _) = farm.sweep(72, false).unwrap();
+    assert_eq!((swept_now.removed.artefacts, swept_now.missing), (0, 0), "{swept_now:?}");
+    assert!(farm.has(&photos) && !half.exists() && !swept.exists() && own.is_file());
+}
+
+/// Who has stored an artefact counts on it, whatever a sweep does at that moment.
+#[test]
+fn what_is_stored_while_it_is_removed_is_there_afterwards() {
+    let dir = tempfile::tempdir().unwrap();
+    let farm = SweptFarm::in_folder(dir.path());
+    farm.stored("photos", &["a"]);
+    let (digest, file) = (ArtefactDigest::of(b"a"), dir.path().join("photos/a"));
+    let (mut removed, barrier) = (0, Barrier::new(2));
+    for round in 0..40 {
+        farm.age(100 * HOUR);
+        std::thread::scope(|scope| {
+            let sweeper = scope.spawn(|| {
+                barrier.wait();
+                farm.store.remove_older(&digest, 72 * HOUR).unwrap()
+            });
+            barrier.wait();
+            farm.store.put(&digest, &file).unwrap();
+            removed += u32::from(sweeper.join().unwrap());
+        });
+        assert!(farm.store.has(&digest).unwrap(), "round {round}, {removed} were removed before");
+    }
 }
