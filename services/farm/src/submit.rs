@@ -12,7 +12,7 @@ use crate::crew::{BatchEvent, StopBatch, StopLevel};
 use crate::engine::{ChangeKind, EngineError, JobChange, JobEngine, JobState, JobStatus};
 use crate::job::Job;
 use crate::manifest::{BatchManifest, ManifestError};
-use crate::worker::{FarmScene, FarmSceneError, parts};
+use crate::worker::{FarmScene, FarmSceneError, artefact_of, parts};
 
 /// How often the farm is read.
 const WATCH_EVERY: Duration = Duration::from_millis(500);
@@ -74,8 +74,9 @@ impl FarmBatch<'_> {
         format!("{}/{scene}", self.name)
     }
 
-    /// Stores the photos of a manifest's scenes and hands the scenes in; scenes of this batch that the manifest does not have
-    /// are withdrawn, unless somebody works on them. To hand in the same again changes nothing.
+    /// Withdraws the scenes of this batch that the manifest does not have, unless somebody works on them; then stores the photos
+    /// of each scene and hands it in at once: until a job refers to them, a sweep of the store removes what is old enough. To hand
+    /// in the same again changes nothing.
     ///
     /// # Errors
     /// What is wrong with the manifest or a scene, before any is handed in; when the farm or the store does not serve.
@@ -93,7 +94,10 @@ impl FarmBatch<'_> {
             FarmScene::check(&scene.settings, scene.until.as_deref())
                 .map_err(|reason| FarmBatchError::Scene { scene: scene.name.clone(), reason })?;
         }
-        let mut jobs = Vec::new();
+        let wanted: BTreeSet<String> = read.jobs.iter().map(|(scene, _)| self.id(&scene.name)).collect();
+        let unwanted: Vec<String> =
+            self.jobs()?.into_iter().map(|status| status.job.id).filter(|id| !wanted.contains(id)).collect();
+        self.engine.withdraw(&unwanted)?;
         for (scene, job) in &read.jobs {
             let id = self.id(&scene.name);
             let began = Instant::now();
@@ -105,18 +109,7 @@ impl FarmBatch<'_> {
                 reason: FarmSceneError::Payload(e.to_string()),
             })?;
             tell(&BatchEvent::SceneStored { scene: id.clone(), seconds: began.elapsed().as_secs_f64() });
-            jobs.push(Job { id, payload, ..job.clone() });
-        }
-        let wanted: BTreeSet<&str> = jobs.iter().map(|job| job.id.as_str()).collect();
-        let unwanted: Vec<String> = self
-            .jobs()?
-            .into_iter()
-            .map(|status| status.job.id)
-            .filter(|id| !wanted.contains(id.as_str()))
-            .collect();
-        self.engine.withdraw(&unwanted)?;
-        for job in &jobs {
-            self.engine.publish(job)?;
+            self.engine.publish(&Job { id, payload, ..job.clone() })?;
         }
         if retry_dead {
             for dead in self.jobs()?.into_iter().filter(|status| status.state == JobState::Dead) {
@@ -170,7 +163,9 @@ impl FarmBatch<'_> {
                 }
             }
             for status in scenes.iter().filter(|status| status.state == JobState::Done) {
-                if let Some((out, artefact)) = self.out.as_ref().zip(artefact_of(status))
+                let artefact =
+                    status.outcome.as_deref().and_then(|outcome| artefact_of(outcome).ok().flatten());
+                if let Some((out, artefact)) = self.out.as_ref().zip(artefact)
                     && fetched.insert(artefact)
                 {
                     self.fetch(status, &artefact, out, tell)?;
@@ -202,12 +197,6 @@ impl FarmBatch<'_> {
         tell(&BatchEvent::SceneFetched { scene: id.clone(), seconds: began.elapsed().as_secs_f64() });
         Ok(())
     }
-}
-
-/// The artefact that a scene ended in.
-fn artefact_of(status: &JobStatus) -> Option<ArtefactDigest> {
-    let outcome: serde_json::Value = serde_json::from_str(status.outcome.as_deref()?).ok()?;
-    outcome["artefact"].as_str()?.parse().ok()
 }
 
 fn event_of(change: &JobChange, scenes: &[JobStatus]) -> Option<BatchEvent> {

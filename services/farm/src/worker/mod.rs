@@ -20,8 +20,8 @@ use segwild_flow::files;
 use segwild_flow::process::{Lock, LockError, Owner};
 
 use self::host::FarmHost;
-pub(crate) use self::scene::parts;
 pub use self::scene::{FarmScene, FarmSceneError};
+pub(crate) use self::scene::{artefact_of, parts};
 use crate::artefacts::ArtefactSession;
 use crate::crew::{BatchEvent, CrewTerms, SceneFiles, StopBatch};
 use crate::engine::{EngineError, ErrorClass, JobEngine};

@@ -32,6 +32,9 @@ pub enum FarmSceneError {
     /// Its payload cannot be read.
     #[error("its job cannot be read: {0}")]
     Payload(String),
+    /// What its worker reported at its end cannot be read.
+    #[error("its result cannot be read: {0}")]
+    Outcome(String),
     /// It has a setting that names code.
     #[error(
         "a farm's scene cannot set `{0}`, which names code or a service: set it where the workers are started"
@@ -71,6 +74,16 @@ impl FarmScene {
         }
         Ok(())
     }
+}
+
+/// The artefact that a scene ended in, by what its worker reported; `None` where it ended in none.
+///
+/// # Errors
+/// When the report cannot be read.
+pub(crate) fn artefact_of(outcome: &str) -> Result<Option<ArtefactDigest>, FarmSceneError> {
+    let unread = |error: &dyn std::fmt::Display| FarmSceneError::Outcome(error.to_string());
+    let outcome: serde_json::Value = serde_json::from_str(outcome).map_err(|e| unread(&e))?;
+    outcome["artefact"].as_str().map(str::parse::<ArtefactDigest>).transpose().map_err(|e| unread(&e))
 }
 
 /// The batch and the scene that a job's name has.
