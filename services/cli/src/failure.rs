@@ -189,7 +189,9 @@ impl From<FarmSweepError> for Failure {
         match error {
             FarmSweepError::Engine(error) => error.into(),
             FarmSweepError::Artefact(error) => error.into(),
-            FarmSweepError::Empty => Failure::usage(error.to_string()),
+            FarmSweepError::Empty { .. } | FarmSweepError::OtherKey { .. } => {
+                Failure::usage(error.to_string())
+            }
             FarmSweepError::Job { .. } => Failure { message: error.to_string(), code: exit::INPUT },
         }
     }

@@ -347,6 +347,11 @@ pub struct FarmLogState {
     pub read_records: u64,
     /// Time that this took, in seconds.
     pub read_s: f64,
+    /// Those of them that are void for this handle, so that they changed nothing; for a handle without a key, also those that are
+    /// signed. A snapshot that was made with another key counts as one. Where there are any, the farm may have another key, and
+    /// the table may not be that of its other machines.
+    #[serde(default)]
+    pub void_records: u64,
 }
 
 /// Jobs with leases. Deliveries are at least once; the fence makes effects exactly once.
@@ -459,6 +464,12 @@ pub trait JobEngine: Send + Sync {
 
     /// How long the log is, when it was last read; `None` where the engine keeps none that others read.
     fn log_state(&self) -> Option<FarmLogState> {
+        None
+    }
+
+    /// The time by the clock of the log, in seconds since 1970, as far as who only reads it knows: when the newest record was
+    /// stored, and how long ago this handle read it. `None` where times are by this machine's clock.
+    fn log_time(&self) -> Option<f64> {
         None
     }
 }

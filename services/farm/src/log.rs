@@ -51,6 +51,11 @@ pub trait TransitionLog: Send + Sync {
     fn extent_read(&self) -> Option<FarmLogState> {
         None
     }
+
+    /// The time by the clock of the log, as far as its newest record shows it; `None` where that is this machine's clock.
+    fn time_read(&self) -> Option<f64> {
+        None
+    }
 }
 
 impl<L: TransitionLog> JobEngine for L {
@@ -126,5 +131,9 @@ impl<L: TransitionLog> JobEngine for L {
 
     fn log_state(&self) -> Option<FarmLogState> {
         self.extent_read()
+    }
+
+    fn log_time(&self) -> Option<f64> {
+        self.time_read()
     }
 }

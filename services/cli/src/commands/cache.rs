@@ -65,7 +65,7 @@ fn farm_gc_command() -> Command {
                 .value_name("FARM")
                 .value_parser(str::parse::<FarmAddress>)
                 .action(ArgAction::Append)
-                .help("Another farm that uses the same store; what it needs stays, too"),
+                .help("Another farm with the same store and key; what it needs stays, too"),
         )
         .arg(
             number("older-than", "72", "Only what was stored so many hours ago; 24 at least")
@@ -116,7 +116,7 @@ fn farm_gc(matches: &ArgMatches) -> Result<(), Failure> {
     let hours = *matches.get_one::<u64>("older-than").expect("it has a default");
     let (pretend, json) = (matches.get_flag("dry-run"), matches.get_flag("json"));
     let sweep = FarmSweep {
-        farms: [&farm.engine].into_iter().chain(&others).map(|farm| &**farm as &dyn JobEngine).collect(),
+        farms: [&farm.engine].into_iter().chain(&others).map(named).collect(),
         artefacts: &farm.artefacts,
         older_than: Duration::from_secs(hours * 3600),
         dry_run: pretend,
@@ -145,6 +145,11 @@ fn farm_gc(matches: &ArgMatches) -> Result<(), Failure> {
         swept.used.artefacts,
         swept.young.artefacts
     ))
+}
+
+/// A farm with its name for people.
+fn named(engine: &Arc<NatsEngine>) -> (String, &dyn JobEngine) {
+    (engine.address().to_string(), &**engine as &dyn JobEngine)
 }
 
 fn in_words(artefact: &StoredArtefact) -> String {

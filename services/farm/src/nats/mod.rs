@@ -84,6 +84,9 @@ struct Known {
     silent: Option<(f64, u64)>,
     /// How long the log was, and what reading it has cost.
     log: FarmLogState,
+    /// What the server's clock showed when it stored the newest record, less what the steady clock of this machine showed when
+    /// that was read. For those who only watch: `clock` knows nothing before this handle appends.
+    ahead: Option<f64>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -93,6 +96,10 @@ struct TableSnapshot {
     id: String,
     table: JobTable,
     changes: VecDeque<JobChange>,
+    /// The mark of the key of who made it, empty where there was none; absent in those of earlier versions. It is no signature:
+    /// who may write to the farm's bucket may write this.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    key: Option<String>,
 }
 
 impl Drop for NatsEngine {
@@ -213,6 +220,10 @@ impl NatsEngine {
                 let next = known.tail + 1;
                 let Some(record) = self.ask(self.server.clone().record(next))? else { break };
                 let (id, read) = LogRecord::decode(&record.payload, self.address.name(), self.key.as_ref());
+                let void = matches!(read, Err(LogRecordError::Void));
+                let without_key = self.key.is_none() && LogRecord::is_signed(&record.payload);
+                known.log.void_records += u64::from(void || without_key);
+                known.ahead = Some(record.time - steady().seconds);
                 let applied = match read {
                     Ok(read) if read.after == known.tail_id => {
                         known.apply(&read.transitions, record.time, next);
@@ -250,15 +261,16 @@ impl NatsEngine {
     }
 
     /// Whether the last record that was applied is in the log as it was.
-    fn is_still_there(&self, known: &Known) -> Result<bool, EngineError> {
+    fn is_still_there(&self, known: &mut Known) -> Result<bool, EngineError> {
         if known.tail == 0 {
             return Ok(false);
         }
-        let found = self.ask(self.server.clone().record(known.tail))?;
-        Ok(match found {
-            Some(record) => LogRecord::decode(&record.payload, self.address.name(), None).0 == known.tail_id,
-            None => false,
-        })
+        let Some(record) = self.ask(self.server.clone().record(known.tail))? else { return Ok(false) };
+        // After a snapshot this record is the first one whose time is known.
+        if known.ahead.is_none() {
+            known.ahead = Some(record.time - steady().seconds);
+        }
+        Ok(LogRecord::decode(&record.payload, self.address.name(), None).0 == known.tail_id)
     }
 
     /// Reads the table again: from the snapshot that the log starts at, or from its first record.
@@ -287,6 +299,11 @@ impl NatsEngine {
         if snapshot.format != SNAPSHOT_FORMAT || snapshot.covers != covers {
             let (found, known) = (snapshot.format, SNAPSHOT_FORMAT);
             return Err(self.failure(FarmServerError::SnapshotFormat { covers, found, known }));
+        }
+        if snapshot.key.is_some_and(|mark| mark != self.key_mark()) {
+            // Who made it may have taken records for void that are not.
+            tracing::warn!(farm = %self.address, "the snapshot of the farm's log was made with another key");
+            known.log.void_records += 1;
         }
         (known.table, known.changes) = (snapshot.table.sorted(), snapshot.changes);
         (known.tail, known.tail_id) = (covers, snapshot.id);
@@ -328,6 +345,11 @@ impl NatsEngine {
         }
     }
 
+    /// The mark of this handle's key; empty where it has none.
+    fn key_mark(&self) -> String {
+        self.key.as_ref().map_or_else(String::new, |key| key.mark(self.address.name()))
+    }
+
     /// A name that no other record has.
     fn record_name(&self) -> Result<String, EngineError> {
         let mut bytes = [0; 16];
@@ -348,6 +370,7 @@ impl NatsEngine {
             id: known.tail_id.clone(),
             table: known.table.clone(),
             changes: known.changes.clone(),
+            key: Some(self.key_mark()),
         };
         let compacted = serde_json::to_vec(&snapshot)
             .map_err(|e| self.failure(FarmServerError::client(e)))
@@ -425,7 +448,8 @@ impl Known {
 
     /// What remains when the log is another one.
     fn forgotten(&self) -> Known {
-        Known { clock: self.clock, jumped: self.jumped.clone(), log: self.log, ..Known::default() }
+        let (clock, log, ahead) = (self.clock, self.log, self.ahead);
+        Known { clock, jumped: self.jumped.clone(), log, ahead, ..Known::default() }
     }
 }
 
@@ -469,6 +493,10 @@ impl TransitionLog for NatsEngine {
 
     fn extent_read(&self) -> Option<FarmLogState> {
         Some(self.lock().log)
+    }
+
+    fn time_read(&self) -> Option<f64> {
+        Some(self.lock().ahead? + steady().seconds)
     }
 }
 

@@ -10,6 +10,9 @@ use crate::transition::Transition;
 /// What a signature of a farm's records is derived for.
 const PURPOSE: &str = "segwild farm record v1";
 
+/// What is signed to mark whose a snapshot is. No record has these bytes: they are no message.
+const SNAPSHOT_MARK: &[u8] = b"segwild farm snapshot";
+
 /// Why a record cannot be applied.
 #[derive(Debug, PartialEq, thiserror::Error)]
 pub(super) enum LogRecordError {
@@ -35,6 +38,11 @@ impl FarmKey {
         let mut hasher = blake3::Hasher::new_keyed(&self.0);
         hasher.update(&(farm.len() as u64).to_le_bytes()).update(farm.as_bytes()).update(unsigned);
         hasher.finalize()
+    }
+
+    /// What shows whether two keys of a farm are the same, and nothing else of them.
+    pub(super) fn mark(&self, farm: &str) -> String {
+        self.sign(farm, SNAPSHOT_MARK).to_hex().to_string()
     }
 }
 
@@ -96,6 +104,11 @@ impl LogRecord {
         };
         let record = transitions.map(record);
         (id, record)
+    }
+
+    /// Whether a record has a signature, right or wrong.
+    pub fn is_signed(bytes: &[u8]) -> bool {
+        v1::FarmRecord::decode(bytes).is_ok_and(|message| !message.signature.is_empty())
     }
 }
 
@@ -278,6 +291,10 @@ mod tests {
         assert_eq!(read(&signed, "f", "secret"), Ok(()));
         assert_eq!(read(&signed, "f", "another"), Err(LogRecordError::Void));
         assert_eq!(read(&signed, "g", "secret"), Err(LogRecordError::Void));
+        let mark = |secret: &str, farm: &str| FarmKey::of(secret).mark(farm);
+        assert_eq!(mark("secret", "f"), key.mark("f"));
+        assert!(mark("another", "f") != key.mark("f") && key.mark("g") != key.mark("f"));
+        assert!(LogRecord::is_signed(&signed) && !LogRecord::is_signed(&record().encode("f", None)));
         assert_eq!(read(&record().encode("f", None), "f", "secret"), Err(LogRecordError::Void));
         let mut changed = LogRecord { writer: "there".into(), ..record() }.encode("f", None);
         changed.extend_from_slice(&signed[signed.len() - 34..]);

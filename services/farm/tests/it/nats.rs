@@ -7,12 +7,12 @@ use nats_server::NatsServer;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use segwild_farm::conformance::{Site, broken};
 use segwild_farm::{
-    Completed, EngineError, ErrorClass, FarmAccess, FarmAddress, FarmKey, Job, JobEngine, JobState,
-    NatsEngine, Needs, Retry, WorkerOffer,
+    ArtefactSession, Completed, EngineError, ErrorClass, FarmAccess, FarmAddress, FarmKey, FarmSweep,
+    FarmSweepError, Job, JobEngine, JobState, NatsEngine, Needs, ObjectArtefacts, Retry, WorkerOffer,
 };
 
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -147,6 +147,10 @@ fn a_log_is_compacted_and_a_new_machine_reads_the_same_jobs() {
     assert!(log.records < 100 && log.read_records < 100 && log.read_s > 0.0, "{log:?}");
     let writer = engine.log_state().expect("a log");
     assert!(writer.read_records >= 2100 && writer.records < 100, "{writer:?}");
+    assert_eq!((log.void_records, writer.void_records), (0, 0));
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64();
+    let late = now - reader.log_time().expect("the log has a record");
+    assert!((-1.0..60.0).contains(&late), "{late} s: the server's clock is this machine's");
     // The fence goes on.
     let later = engine_at(&server, "f");
     assert_eq!(later.complete(&held, "done").unwrap(), Completed::Now);
@@ -228,6 +232,16 @@ fn who_does_not_have_the_key_changes_nothing() {
     // It goes on after what is void.
     let lease = ours.claim(&offer("w", 60.0)).unwrap().expect("a lease");
     ours.fail(&lease, ErrorClass::Fatal, "bad input").unwrap();
+    // Who sweeps the farm's artefacts with another key, or without one, would not know what it needs.
+    let store = ObjectArtefacts::open(&folder.path().join("shared").display().to_string()).unwrap();
+    let artefacts = ArtefactSession::new(Arc::new(store));
+    for engine in [&other, &engine_at(&server, "f")] {
+        let farms: Vec<(String, &dyn JobEngine)> = vec![("f".to_owned(), engine as &dyn JobEngine)];
+        let older_than = Duration::ZERO;
+        let sweep = FarmSweep { farms, artefacts: &artefacts, older_than, dry_run: true };
+        let swept = sweep.sweep(&mut |_| ());
+        assert!(matches!(swept, Err(FarmSweepError::OtherKey { .. })), "{swept:?}");
+    }
     assert_eq!(with("secret").jobs().unwrap()[0].state, JobState::Dead);
 }
 
