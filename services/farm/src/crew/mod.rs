@@ -28,7 +28,7 @@ use crate::engine::{
 use crate::job::Needs;
 
 /// A lease lasts so long without a heartbeat, in seconds.
-pub(crate) const LEASE_S: f64 = 60.0;
+pub const LEASE_S: f64 = 60.0;
 /// How often processes are checked.
 const TICK: Duration = Duration::from_millis(100);
 /// A jump of the clock that is reported, in seconds.

@@ -1,10 +1,10 @@
 //! A farm that is shown, and what only a farm has: workers, a queue and a log.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
 
-use segwild_farm::{EngineError, FarmLogState, JobEngine, JobState, JobStatus};
+use segwild_farm::{EngineError, FarmLogState, JobEngine, JobState, JobStatus, LEASE_S, WorkerTally};
 use serde::{Deserialize, Serialize};
 
 /// A worker that holds nothing and was not seen for so long is not shown, in seconds.
@@ -58,29 +58,43 @@ pub struct FarmWorkerView {
 }
 
 impl FarmView {
-    /// A farm with these jobs, at a time in seconds since 1970.
+    /// A farm with these jobs, at a time in seconds since 1970. Where the log has a clock of its own, its time counts: what the
+    /// jobs and the workers have are times of the log.
     ///
     /// # Errors
     /// When the farm cannot be read.
     pub(super) fn of(engine: &dyn JobEngine, jobs: &[JobStatus], now: f64) -> Result<Self, EngineError> {
+        let now = engine.log_time().unwrap_or(now);
         let (mut queue, mut oldest_waiting_s) = (BTreeMap::from([("any".to_owned(), 0)]), 0.0_f64);
         for status in jobs.iter().filter(|s| s.state == JobState::Pending && s.due <= now) {
             let wanted = status.job.accelerator.clone().unwrap_or_else(|| "any".into());
             *queue.entry(wanted).or_default() += 1;
             oldest_waiting_s = oldest_waiting_s.max(now - status.due);
         }
-        let mut held: BTreeMap<&str, u64> = BTreeMap::new();
-        for worker in jobs.iter().filter_map(|status| status.worker.as_deref()) {
-            *held.entry(worker).or_default() += 1;
+        // How many scenes each worker holds, and when it last renewed one of them.
+        let mut held: BTreeMap<&str, (u64, f64)> = BTreeMap::new();
+        for status in jobs {
+            let Some(worker) = status.worker.as_deref() else { continue };
+            let (count, renewed) = held.entry(worker).or_default();
+            *count += 1;
+            *renewed = renewed.max(status.lease_until.map_or(0.0, |until| until - LEASE_S));
         }
-        let workers = engine.tallies()?.into_iter().map(|(name, tally)| FarmWorkerView {
-            held: held.get(name.as_str()).copied().unwrap_or_default(),
-            name,
-            done: tally.done,
-            failed: tally.failed,
-            returned: tally.returned,
-            silent: tally.silent,
-            seen_s: (now - tally.seen).max(0.0),
+        let tallies = engine.tallies()?;
+        let names: BTreeSet<&str> = tallies.keys().map(String::as_str).chain(held.keys().copied()).collect();
+        let workers = names.into_iter().map(|name| {
+            let (held, renewed) = held.get(name).copied().unwrap_or_default();
+            // The log may have forgotten what a worker did that still holds scenes.
+            let tally = tallies.get(name);
+            let count = |of: fn(&WorkerTally) -> u64| tally.map_or(0, of);
+            FarmWorkerView {
+                name: name.to_owned(),
+                held,
+                done: count(|tally| tally.done),
+                failed: count(|tally| tally.failed),
+                returned: count(|tally| tally.returned),
+                silent: count(|tally| tally.silent),
+                seen_s: (now - tally.map_or(renewed, |tally| tally.seen)).max(0.0),
+            }
         });
         let workers = workers.filter(|worker| worker.held > 0 || worker.seen_s <= SHOWN_S).collect();
         Ok(Self { queue, oldest_waiting_s, workers, log: engine.log_state() })

@@ -113,6 +113,14 @@ fn a_farm_shows_its_queue_and_what_each_worker_did() {
     assert_eq!(age("first"), None, "who holds nothing gives no sign");
     assert!(age("second").is_some_and(|age| (0.0..60.0).contains(&age)), "{text}");
     promtool_agrees(&text);
+    // A log that has forgotten what its workers did, and not what they hold.
+    let again = EmbeddedEngine::open(dir.path().join("jobs.sqlite")).expect("the same jobs");
+    let target = MonitorTarget::Farm(FarmTarget { name: "farm".into(), engine: Arc::new(again) });
+    let text = render(Some(&target.view().expect("a view")), false);
+    let shown = |line: &str| text.lines().any(|l| l.starts_with(line));
+    assert!(shown("segwild_farm_worker_scenes{worker=\"second\"} 1"), "{text}");
+    assert!(shown("segwild_farm_heartbeat_age_seconds{worker=\"second\"} "), "{text}");
+    assert!(!shown("segwild_farm_worker_scenes{worker=\"first\"}"), "{text}");
 }
 
 /// `promtool check metrics` has nothing to say about names, units and help texts.
