@@ -183,8 +183,11 @@ fn has_what_pods_need(name: &str, object: &Value, template: &Value) {
 #[test]
 fn objects_of_kubernetes_have_what_their_kinds_need() {
     let objects = objects();
-    let named = |kind: &str, wanted: &str| {
-        objects.iter().any(|(_, o)| o["kind"] == kind && o["metadata"]["name"] == wanted)
+    let has_a_target = |name: &str, kind: &str, wanted: &str| {
+        let target = objects.iter().find(|(_, o)| o["kind"] == kind && o["metadata"]["name"] == wanted);
+        let (file, target) = target.unwrap_or_else(|| panic!("{name}: there is no {kind} {wanted}"));
+        // Who applies the file again would undo what scales it.
+        assert!(target.pointer("/spec/replicas").is_none(), "{file} sets the replicas that {name} sets");
     };
     let mut kinds = BTreeSet::new();
     for (name, object) in &objects {
@@ -218,7 +221,7 @@ fn objects_of_kubernetes_have_what_their_kinds_need() {
                 "v1"
             }
             "ScaledObject" => {
-                assert!(named("Deployment", &text_at(name, object, "/spec/scaleTargetRef/name")), "{name}");
+                has_a_target(name, "Deployment", &text_at(name, object, "/spec/scaleTargetRef/name"));
                 assert!(
                     at(name, object, "/spec/minReplicaCount").as_u64()
                         < at(name, object, "/spec/maxReplicaCount").as_u64()
@@ -234,7 +237,7 @@ fn objects_of_kubernetes_have_what_their_kinds_need() {
             }
             "HorizontalPodAutoscaler" => {
                 let target = at(name, object, "/spec/scaleTargetRef");
-                assert!(named(&text_at(name, target, "/kind"), &text_at(name, target, "/name")), "{name}");
+                has_a_target(name, &text_at(name, target, "/kind"), &text_at(name, target, "/name"));
                 assert!(
                     at(name, object, "/spec/minReplicas").as_u64()
                         < at(name, object, "/spec/maxReplicas").as_u64()
