@@ -1,6 +1,7 @@
 //! Every file of `deploy/` is read: its format, what its kind has to have, its command lines by the program's own, and its exit
 //! codes by the page of exit codes.
 
+#[path = "../../../../tests/support/yaml.rs"]
 mod yaml;
 
 use super::program;
@@ -475,4 +476,31 @@ fn every_command_line_of_deploy_is_one_of_the_program() {
         }
     }
     assert!(run >= 14 && named >= 5, "{run} are run, {named} are named");
+}
+
+#[test]
+fn yaml_is_read_as_it_is_meant_and_what_is_unknown_is_refused() {
+    let text = "# a comment\na: &x\n  b: [1, \"two, #2\", { c: 'it''s' }] # another\n  d: it's # this\ne:\n- f: 0440\n  g:\n    - *x\n\
+                h: { <<: 1 }\ni:\n  <<: *x\n  d: \"\\\"o\"\nj: |\n  k: v # text\n   more\n---\nl: -1.5\n";
+    let read = yaml::documents(text).expect("it is YAML");
+    let x = serde_json::json!({ "b": [1, "two, #2", { "c": "it's" }], "d": "it's" });
+    assert_eq!(read[0]["a"], x);
+    assert_eq!(read[0]["e"], serde_json::json!([{ "f": "0440", "g": [x] }]));
+    assert_eq!((&read[0]["i"]["b"], &read[0]["i"]["d"]), (&x["b"], &"\"o".into()));
+    assert_eq!(read[0]["j"], "k: v # text\n more");
+    assert_eq!(read[1], serde_json::json!({ "l": -1.5 }));
+    for (text, reason) in [
+        ("a: 1\n a: 2", "line 2: `a: 2` is indented too far"),
+        ("a: 1\na: 2", "twice"),
+        ("a: {b: 1", "missing"),
+        ("a: \"b", "not closed"),
+        ("a: *b", "&b"),
+        ("a: b: c", "quotes"),
+        ("a\n", "no key"),
+        ("a:\n\tb: 1", "tab"),
+        ("- a\nb: 1", "belongs to nothing"),
+    ] {
+        let refused = yaml::documents(text).expect_err(text);
+        assert!(refused.contains(reason), "{text}: {refused}");
+    }
 }

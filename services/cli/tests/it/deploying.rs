@@ -1,6 +1,10 @@
 //! What `deploy/` lets a container or a service do, and what somebody who starts them has to set.
 
+#[path = "../../../../tests/support/yaml.rs"]
+mod yaml;
+
 use crate::common::*;
+use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -10,17 +14,10 @@ fn read(file: &str) -> String {
     std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// The parts of a YAML text below a heading, by name: of lines indented by two, and what is indented further.
-fn parts(yaml: &str, heading: &str) -> Vec<(String, String)> {
-    let lines = yaml.lines().skip_while(|line| *line != heading).skip(1);
-    let mut found: Vec<(String, String)> = Vec::new();
-    for line in lines.take_while(|line| line.is_empty() || line.starts_with([' ', '#'])) {
-        match line.strip_prefix("  ").filter(|rest| !rest.starts_with([' ', '#'])) {
-            Some(name) => found.push((name.trim_end_matches(':').to_owned(), String::new())),
-            None => found.last_mut().into_iter().for_each(|(_, text)| *text += &format!("{line}\n")),
-        }
-    }
-    found
+/// A file of compose, with what its anchors stand for.
+fn compose_file(file: &str) -> Value {
+    let read = yaml::documents(&read(file)).unwrap_or_else(|reason| panic!("{file}: {reason}"));
+    read.into_iter().next().unwrap_or_else(|| panic!("{file} is empty"))
 }
 
 #[test]
@@ -28,40 +25,38 @@ fn every_container_is_confined_and_bounded() {
     for (file, count) in [("compose.yaml", 3), ("compose.farm.yaml", 6)] {
         is_confined_and_bounded(file, count);
     }
-    let compose = read("compose.yaml");
-    let services = parts(&compose, "services:");
-    let batch = &services.iter().find(|(name, _)| name == "segwild").expect("the batch").1;
-    assert!(
-        batch.contains("networks: [inside]") && compose.contains("inside:\n    internal: true"),
-        "{batch}"
-    );
+    let compose = compose_file("compose.yaml");
+    assert_eq!(compose["services"]["segwild"]["networks"], json!(["inside"]));
+    assert_eq!(compose["networks"]["inside"]["internal"], json!(true));
     assert!(read("Containerfile").lines().any(|line| line == "USER 1000"), "the image runs as root");
 }
 
 fn is_confined_and_bounded(file: &str, count: usize) {
-    let compose = read(file);
-    let confined: Vec<_> =
-        parts(&compose, "x-confined: &confined").into_iter().map(|(line, _)| line).collect();
-    for line in
-        ["read_only: true", "cap_drop: [ALL]", "security_opt: [\"no-new-privileges:true\"]", "tmpfs: [/tmp]"]
-    {
-        assert!(confined.iter().any(|l| l == line), "`{line}` is missing: {confined:?}");
-    }
-    assert!(confined.iter().any(|l| l.starts_with("pids_limit: ")), "{confined:?}");
-    let services = parts(&compose, "services:");
+    let compose = compose_file(file);
+    let services = compose["services"].as_object().unwrap_or_else(|| panic!("{file} has no services"));
     assert_eq!(services.len(), count, "{services:?}");
-    for (name, service) in &services {
-        let has = |start: &str| service.lines().any(|line| line.trim_start().starts_with(start));
-        assert!(has("<<: *confined"), "{name} is not confined");
-        assert!(has("mem_limit: "), "{name} may take all memory");
-        assert!(has("user: ") && !has("user: \"0\"") && !has("privileged"), "{name} runs as root");
-        let undone =
-            ["read_only: false", "cap_add", "security_opt", "pids_limit", "network_mode", "devices:"];
-        assert!(!undone.iter().any(|line| has(line)), "{name} undoes what it is confined by");
-        for port in service.lines().filter(|line| line.trim_start().starts_with("- \"") && line.contains(':'))
-        {
-            let inside =
-                ["\"127.0.0.1:", "\"${ADDRESS:-127.0.0.1}:"].iter().any(|start| port.contains(start));
+    for (name, service) in services {
+        // What a service sets itself counts, whatever it merges.
+        for (part, value) in [
+            ("read_only", json!(true)),
+            ("cap_drop", json!(["ALL"])),
+            ("security_opt", json!(["no-new-privileges:true"])),
+            ("tmpfs", json!(["/tmp"])),
+        ] {
+            assert_eq!(service[part], value, "{file}, {name}: {part}");
+        }
+        assert!(service["pids_limit"].is_u64(), "{file}: {name} may start any number of processes");
+        assert!(service["mem_limit"].is_string(), "{file}: {name} may take all memory");
+        let user = service["user"].as_str();
+        assert!(user.is_some_and(|user| user != "0" && user != "root"), "{file}: {name} runs as root");
+        let undone = ["cap_add", "privileged", "network_mode", "devices"];
+        assert!(
+            undone.iter().all(|part| service.get(part).is_none()),
+            "{name} undoes what it is confined by"
+        );
+        for port in service["ports"].as_array().into_iter().flatten() {
+            let port = port.as_str().unwrap_or_else(|| panic!("{file}, {name}: {port} is no text"));
+            let inside = ["127.0.0.1:", "${ADDRESS:-127.0.0.1}:"].iter().any(|start| port.starts_with(start));
             assert!(inside, "{name} is open to the network: {port}");
         }
     }

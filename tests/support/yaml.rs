@@ -1,5 +1,5 @@
 //! The YAML that `deploy/` is written in: mappings and lists in blocks and in braces, quoted and plain scalars, text blocks,
-//! anchors, aliases and merges. What it does not know is refused, with the line.
+//! anchors, aliases and merges. What it does not know is refused, with the line. Tests of the program include it by `#[path]`.
 
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -286,31 +286,4 @@ fn plain(text: &str) -> Result<Value, String> {
         }
         _ => Value::String(text.to_owned()),
     })
-}
-
-#[test]
-fn yaml_is_read_as_it_is_meant_and_what_is_unknown_is_refused() {
-    let text = "# a comment\na: &x\n  b: [1, \"two, #2\", { c: 'it''s' }] # another\n  d: it's # this\ne:\n- f: 0440\n  g:\n    - *x\n\
-                h: { <<: 1 }\ni:\n  <<: *x\n  d: \"\\\"o\"\nj: |\n  k: v # text\n   more\n---\nl: -1.5\n";
-    let read = documents(text).expect("it is YAML");
-    let x = serde_json::json!({ "b": [1, "two, #2", { "c": "it's" }], "d": "it's" });
-    assert_eq!(read[0]["a"], x);
-    assert_eq!(read[0]["e"], serde_json::json!([{ "f": "0440", "g": [x] }]));
-    assert_eq!((&read[0]["i"]["b"], &read[0]["i"]["d"]), (&x["b"], &"\"o".into()));
-    assert_eq!(read[0]["j"], "k: v # text\n more");
-    assert_eq!(read[1], serde_json::json!({ "l": -1.5 }));
-    for (text, reason) in [
-        ("a: 1\n a: 2", "line 2: `a: 2` is indented too far"),
-        ("a: 1\na: 2", "twice"),
-        ("a: {b: 1", "missing"),
-        ("a: \"b", "not closed"),
-        ("a: *b", "&b"),
-        ("a: b: c", "quotes"),
-        ("a\n", "no key"),
-        ("a:\n\tb: 1", "tab"),
-        ("- a\nb: 1", "belongs to nothing"),
-    ] {
-        let refused = documents(text).expect_err(text);
-        assert!(refused.contains(reason), "{text}: {refused}");
-    }
 }
