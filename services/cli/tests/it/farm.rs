@@ -110,6 +110,18 @@ fn a_worker_that_is_stopped_stores_its_scene_and_hands_it_back() {
     let watched = batch(path, &farm, &path.join("scenes.toml"), &store).wait_with_output().expect("it ends");
     assert_eq!(watched.status.code(), Some(0), "{}", text(&watched.stderr));
     same_as_untouched(&path.join("night/a"));
+    // The scene's photos and result are in use, and what was stored on the way is young.
+    let sweep = ["cache", "farm-gc", "--farm", &*farm, "--dry-run", "--json", "--artefacts"];
+    let swept = lines(&works(&[&sweep[..], &[&*shared]].concat())).pop().expect("a summary");
+    assert_eq!(swept["dry_run"], serde_json::json!(true), "{swept}");
+    let summary = &swept["summary"];
+    assert_eq!((summary["removed"]["artefacts"].as_u64(), summary["missing"].as_u64()), (Some(0), Some(0)));
+    assert!(summary["young"]["artefacts"].as_u64().is_some_and(|young| young > 2), "{swept}");
+    let other = show(&path.join("other"));
+    refuses(&[&sweep[..], &[&*other]].concat(), 2, &["another farm's store", "--artefacts"]);
+    std::fs::write(path.join("key"), "another farm's").expect("it writes");
+    let key = show(&path.join("key"));
+    refuses(&[&sweep[..], &[&*shared, "--farm-key", &*key]].concat(), 2, &[&*farm, "--farm-key"]);
     // What is done needs no room on the worker.
     assert!(
         !path.join("second/runs/night/a").exists()
