@@ -28,7 +28,9 @@ fn every_container_is_confined_and_bounded() {
     let compose = compose_file("compose.yaml");
     assert_eq!(compose["services"]["segwild"]["networks"], json!(["inside"]));
     assert_eq!(compose["networks"]["inside"]["internal"], json!(true));
-    assert!(read("Containerfile").lines().any(|line| line == "USER 1000"), "the image runs as root");
+    let container = read("Containerfile");
+    assert!(container.lines().any(|line| line == "USER 1000"), "the image runs as root");
+    assert!(container.contains("install -d -m 1777 /work"), "a worker under RUN_AS cannot write its folder");
 }
 
 fn is_confined_and_bounded(file: &str, count: usize) {
