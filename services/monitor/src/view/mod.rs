@@ -64,8 +64,10 @@ impl MonitorTarget {
     pub fn read(&self, runs: &mut Runs) -> Result<MonitorView, ViewError> {
         Ok(match self {
             MonitorTarget::Run(path) => MonitorView::Run(Box::new(runs.view(path, now())?)),
-            MonitorTarget::Batch(folder) => MonitorView::Batch(BatchView::read(folder, runs, now())?),
-            MonitorTarget::Farm(farm) => MonitorView::Batch(BatchView::of_farm(farm, now())?),
+            MonitorTarget::Batch(folder) => {
+                MonitorView::Batch(Box::new(BatchView::read(folder, runs, now())?))
+            }
+            MonitorTarget::Farm(farm) => MonitorView::Batch(Box::new(BatchView::of_farm(farm, now())?)),
         })
     }
 }
@@ -77,7 +79,7 @@ pub enum MonitorView {
     /// One scene.
     Run(Box<RunView>),
     /// Many.
-    Batch(BatchView),
+    Batch(Box<BatchView>),
 }
 
 impl MonitorView {

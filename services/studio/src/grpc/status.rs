@@ -15,7 +15,7 @@ pub(super) fn view(view: MonitorView) -> v1::MonitorView {
     use monitor_view::Kind;
     let kind = match view {
         MonitorView::Run(view) => Kind::Run(run(*view)),
-        MonitorView::Batch(view) => Kind::Batch(batch(view)),
+        MonitorView::Batch(view) => Kind::Batch(batch(*view)),
     };
     v1::MonitorView { kind: Some(kind) }
 }

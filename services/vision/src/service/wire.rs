@@ -1,5 +1,6 @@
 //! This crate's types as messages, and back. Sizes are checked before memory is taken.
 
+use crate::clip_interface::MOST_DIMS;
 use segwild_proto::v1::{self, ImageHeader, ImagePart, PixelFormat, image_part::Part};
 use segwild_scene::{BoxPrompt, Embedding, Image, Mask, PointPrompt, Prompts, ScoredMask};
 use std::sync::Arc;
