@@ -1,13 +1,13 @@
 //! Carrying a selection from the prompted photos to all others and back: each photo's own boundaries correct
 //! the rendered prior, and its evidence decides splats that no prompted photo sees.
 
-use crate::coverage::{clean, soft};
+use crate::coverage::{clean, soft, visible};
 use crate::label_fusion::{FusionState, LEAST_HINT, LabelFusion, SPREAD_STEPS, sure};
 use crate::photo_evidence::view_evidence;
 use crate::request::{project, working_camera};
 use crate::spread::Belief;
 use crate::steps::{AnswerStep, PUBLISHED_AFTER};
-use crate::view_splats::{SplatSet, shown_in};
+use crate::view_splats::SplatSet;
 use crate::{Evidence, Refiner, Request, SegmentError, SegmentSettings};
 use crate::{occlusion, thin_structures};
 use rayon::prelude::*;
@@ -17,6 +17,9 @@ use segwild_scene::{Camera, Image, Mask};
 use std::borrow::Cow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Long side in pixels at which the views are compared to find a good order.
+const ORDER_SIZE: u32 = 128;
 
 /// Steps of label spreading after each photo of the first round (method, section 6.3); earlier ones are kept. IoU by half, half
 /// more: +.001, +.001 on `sacre_coeur`; 0, 0 on the demo.
@@ -213,6 +216,22 @@ fn first_round<'s>(
         }
     }
     Ok((state, visits))
+}
+
+/// The splats that a view shows: those at hand, or computed.
+fn shown_in<'a>(request: &Request<'a>, index: usize) -> Result<Cow<'a, SplatSet>, SegmentError> {
+    let compute = || {
+        let view = &request.views[index];
+        let camera = view.camera.scaled_to(ORDER_SIZE);
+        let projected = project(request, view, &camera)?;
+        let shown =
+            visible(&*projected, (camera.width, camera.height)).map_err(SegmentError::raster(&view.name))?;
+        Ok(SplatSet::new(shown.into_iter()))
+    };
+    match request.shown.filter(|shown| shown.fits(request.splats.len(), request.views.len())) {
+        Some(shown) => shown.of(index, compute).map(Cow::Borrowed),
+        None => compute().map(Cow::Owned),
+    }
 }
 
 /// The open views that show a decided part of the object, those first of which the largest share of what could be the

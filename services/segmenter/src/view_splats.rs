@@ -1,13 +1,6 @@
 //! Which splats each view shows. It depends on the scene alone, so that the first click computes it for all that follow.
 
-use crate::coverage::visible;
-use crate::request::project;
-use crate::{Request, SegmentError};
-use std::borrow::Cow;
 use std::sync::OnceLock;
-
-/// Long side in pixels at which views are compared by what they show.
-const COMPARED_SIZE: u32 = 128;
 
 /// Memory for what the views show, at most: a bit per splat and view. Where a scene takes more, each click computes it.
 const MAX_BYTES: usize = 64 << 20;
@@ -28,15 +21,6 @@ impl SplatSet {
     pub fn overlap(&self, other: &SplatSet) -> u32 {
         self.0.iter().zip(&other.0).map(|(a, b)| (a & b).count_ones()).sum()
     }
-
-    fn shown_in(request: &Request, index: usize) -> Result<SplatSet, SegmentError> {
-        let view = &request.views[index];
-        let camera = view.camera.scaled_to(COMPARED_SIZE);
-        let projected = project(request, view, &camera)?;
-        let shown =
-            visible(&*projected, (camera.width, camera.height)).map_err(SegmentError::raster(&view.name))?;
-        Ok(SplatSet::new(shown.into_iter()))
-    }
 }
 
 /// The splats that the views of a scene show, as far as they were needed.
@@ -54,24 +38,23 @@ impl ViewSplats {
             .then(|| ViewSplats { splats, views: (0..views).map(|_| OnceLock::new()).collect() })
     }
 
-    fn of(&self, request: &Request, index: usize) -> Result<&SplatSet, SegmentError> {
-        let known = &self.views[index];
-        if known.get().is_none() {
-            // Another click may have set the same meanwhile.
-            let _ = known.set(SplatSet::shown_in(request, index)?);
-        }
-        Ok(known.get_or_init(|| SplatSet(Vec::new())))
+    /// Whether it is of a scene with so many splats and views.
+    pub(crate) fn fits(&self, splats: usize, views: usize) -> bool {
+        self.splats == splats && self.views.len() == views
     }
-}
 
-/// The splats that a view shows: those at hand, or computed.
-pub(crate) fn shown_in<'a>(request: &Request<'a>, index: usize) -> Result<Cow<'a, SplatSet>, SegmentError> {
-    let of_scene = |shown: &&ViewSplats| {
-        shown.splats == request.splats.len() && shown.views.len() == request.views.len()
-    };
-    match request.shown.filter(of_scene) {
-        Some(shown) => shown.of(request, index).map(Cow::Borrowed),
-        None => SplatSet::shown_in(request, index).map(Cow::Owned),
+    /// The splats that a view shows, computed where they are not known yet.
+    pub(crate) fn of<E>(
+        &self,
+        view: usize,
+        compute: impl FnOnce() -> Result<SplatSet, E>,
+    ) -> Result<&SplatSet, E> {
+        let known = &self.views[view];
+        if let Some(known) = known.get() {
+            return Ok(known);
+        }
+        let computed = compute()?;
+        Ok(known.get_or_init(|| computed))
     }
 }
 
