@@ -68,16 +68,8 @@ fn the_accelerators_speed_is_measured_or_its_absence_reported() {
     let page = dir.path().join("engine.md");
     let shown = show(&page);
     let bench = |adapter| {
-        let small = [
-            "bench",
-            "engine",
-            "--splat-counts",
-            "300",
-            "--frame-sizes",
-            "48x32",
-            "--channel-counts",
-            "3,20",
-        ];
+        let small =
+            ["bench", "engine", "--splat-counts", "300", "--frame-sizes", "48x32", "--channel-counts", "20"];
         let goal = ["--db", "6", "--pixels", "48"];
         [&small[..], &goal, &["--page", shown.as_str(), "--adapter", adapter]].concat()
     };
@@ -89,13 +81,11 @@ fn the_accelerators_speed_is_measured_or_its_absence_reported() {
     works(&bench(&adapter.name));
     let text = std::fs::read_to_string(&page).expect("a page");
     assert!(text.contains(&adapter.name) && text.contains("GB/s"), "{text}");
-    for target in ["300 splats, 48 x 32, 3 channels", "300 splats, 48 x 32, 20 channels"] {
-        let (_, rows) = text.split_once(target).expect("its table");
-        for pass in ["project, sort, bin", "sort", "shade", "blend", "gather", "backward", "adam"] {
-            let row = rows.lines().find(|l| l.starts_with(&format!("| {pass} |"))).expect("its row");
-            let ms = row.split('|').nth(2).and_then(|ms| ms.trim().parse::<f64>().ok());
-            assert!(ms.is_some_and(|ms| ms > 0.0), "{row}");
-        }
+    let (_, rows) = text.split_once("300 splats, 48 x 32, 20 channels").expect("its table");
+    for pass in ["project, sort, bin", "sort", "shade", "blend", "gather", "backward", "adam"] {
+        let row = rows.lines().find(|l| l.starts_with(&format!("| {pass} |"))).expect("its row");
+        let ms = row.split('|').nth(2).and_then(|ms| ms.trim().parse::<f64>().ok());
+        assert!(ms.is_some_and(|ms| ms > 0.0), "{row}");
     }
 }
 
