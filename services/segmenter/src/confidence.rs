@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn a_facade_that_no_photo_shows_from_behind_is_not_called_unchecked() {
+    fn a_facade_without_views_of_its_back_is_not_called_unchecked() {
         let front = of(&[photo("clicked", 0.0, 0.9, 0.2), photo("beside", 40.0, 0.9, 0.2)]);
         assert_eq!(front.lopsided, None);
         // Nor is an object with clicks all around it.
