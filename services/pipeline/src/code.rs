@@ -48,18 +48,8 @@ impl Code {
 
     /// Takes them from settings that do not come from a run folder.
     pub fn of(settings: &VisionSettings) -> Code {
-        let VisionSettings {
-            models,
-            transient_network,
-            onnxruntime,
-            vision_service,
-            vision_token_file,
-            vision_certificates,
-            ..
-        } = settings;
-        let values =
-            [models, transient_network, onnxruntime, vision_service, vision_token_file, vision_certificates]
-                .map(String::clone);
+        let mut settings = settings.clone();
+        let values = settings.code_mut().map(std::mem::take);
         Code { flags: VisionSettings::CODE.into_iter().zip(values).collect(), environment: BTreeMap::new() }
     }
 
@@ -75,24 +65,7 @@ impl Code {
 
     /// Writes the paths into settings. Flags replace what is there; the environment fills what is empty.
     pub fn tell(&self, settings: &mut VisionSettings) {
-        let VisionSettings {
-            models,
-            transient_network,
-            onnxruntime,
-            vision_service,
-            vision_token_file,
-            vision_certificates,
-            ..
-        } = settings;
-        let all = [
-            &mut *models,
-            transient_network,
-            onnxruntime,
-            vision_service,
-            vision_token_file,
-            vision_certificates,
-        ];
-        for (name, setting) in VisionSettings::CODE.iter().zip(all) {
+        for (name, setting) in VisionSettings::CODE.iter().zip(settings.code_mut()) {
             let given = self.flags.get(name);
             if let Some(value) = given.or_else(|| self.environment.get(name).filter(|_| setting.is_empty())) {
                 setting.clone_from(value);

@@ -132,6 +132,20 @@ impl VisionSettings {
         "vision_certificates",
     ];
 
+    /// The values of [`VisionSettings::CODE`], in its order.
+    pub fn code_mut(&mut self) -> [&mut String; Self::CODE.len()] {
+        let VisionSettings {
+            models,
+            transient_network,
+            onnxruntime,
+            vision_service,
+            vision_token_file,
+            vision_certificates,
+            ..
+        } = self;
+        [models, transient_network, onnxruntime, vision_service, vision_token_file, vision_certificates]
+    }
+
     /// Flags with `masks = grpc://..` written out: the service, and that it finds masks.
     pub fn with_services(flags: &[(String, String)]) -> Vec<(String, String)> {
         let named =

@@ -13,6 +13,8 @@ use async_nats::jetstream::object_store::{
 };
 use async_nats::jetstream::stream::{LastRawMessageErrorKind, StorageType, Stream};
 use async_nats::{HeaderMap, header};
+use base64::Engine as _;
+use base64::engine::general_purpose::URL_SAFE;
 use tokio::io::{AsyncRead, AsyncReadExt, ReadBuf};
 use tokio::runtime::Handle;
 use tokio::sync::mpsc;
@@ -278,17 +280,7 @@ impl BucketMessages {
 
 /// A name as it stands in the subject of its description: in the base64 of RFC 4648, section 5, as NATS' clients agree on.
 fn base64_of(name: &str) -> String {
-    const SIGNS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_";
-    let mut text = String::new();
-    for bytes in name.as_bytes().chunks(3) {
-        let byte = |i: usize| usize::from(bytes.get(i).copied().unwrap_or_default());
-        let bits = (byte(0) << 16) | (byte(1) << 8) | byte(2);
-        for sign in 0..4 {
-            let sixth = (bits >> (18 - 6 * sign)) & 63;
-            text.push(if sign <= bytes.len() { char::from(SIGNS[sixth]) } else { '=' });
-        }
-    }
-    text
+    URL_SAFE.encode(name)
 }
 
 /// An object as an artefact; `None` for what is none of ours, or was removed.

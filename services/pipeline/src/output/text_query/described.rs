@@ -154,7 +154,7 @@ impl DescribeRequest<'_> {
         let (made, unread) = self.describe(&key, stopper)?;
         if unread > 0 {
             tracing::warn!(
-                "{unread} photos cannot be read, so that groups are described without them for now"
+                "{unread} photos cannot be read: groups are described without them, until they can be read again"
             );
             return Ok(made);
         }
