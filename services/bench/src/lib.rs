@@ -15,6 +15,7 @@
 //! ```
 
 pub mod chart;
+mod contact_sheet;
 mod counted;
 pub mod engine;
 pub mod farm;

@@ -1,5 +1,6 @@
 //! How well scenes are reconstructed: every photo held out is scored whole, and shown beside its render (method, section 10).
 
+use crate::contact_sheet::contact_sheet;
 use crate::page::{PageError, io};
 use crate::point::{PointError, name_of};
 use segwild_eval::metrics::psnr;
@@ -19,10 +20,6 @@ use std::time::Instant;
 pub const PROTOCOL: &str = "reconstruction";
 /// One photo in so many is held out where neither the scene nor the settings say which.
 const HOLD_OUT: u32 = 8;
-/// Width of a photo in the images, and of a render, in pixels.
-const SHOWN: usize = 240;
-/// Photos in a row of the images, each with its render.
-const ACROSS: usize = 3;
 
 /// What to measure.
 #[derive(Clone, Debug)]
@@ -148,7 +145,8 @@ fn one(options: &ReconstructionOptions, path: &Path, size: u32, seed: u64) -> Re
     }
     let image = options.out.join(image_of(&name_of(path), f64::from(size), seed));
     if !shown.is_empty() {
-        contact_sheet(&shown)
+        let pairs: Vec<[&Image; 2]> = shown.iter().map(|s| [&s.photo, &s.render]).collect();
+        contact_sheet(&pairs)
             .write_png(&image)
             .map_err(|e| PageError::Io { path: image.clone(), source: std::io::Error::other(e) })?;
     }
@@ -218,28 +216,6 @@ fn box_around(mask: &Mask) -> Option<Mask> {
     Some(Mask::from_fn(mask.width(), mask.height(), |x, y| {
         (left..=right).contains(&x) && (top..=bottom).contains(&y)
     }))
-}
-
-/// Photos, each beside its render.
-fn contact_sheet(shown: &[Shown]) -> Image {
-    let height = |s: &Shown| (SHOWN * s.photo.height).div_ceil(s.photo.width.max(1));
-    let row = shown.iter().map(height).max().unwrap_or(1);
-    let across = ACROSS.min(shown.len());
-    let mut sheet = Image::filled(2 * SHOWN * across, row * shown.len().div_ceil(across.max(1)), 3, 0.12);
-    let (wide, n) = (sheet.width, sheet.pixels());
-    for (k, s) in shown.iter().enumerate() {
-        for (side, image) in [&s.photo, &s.render].into_iter().enumerate() {
-            let small = image.resized(SHOWN, height(s));
-            let (left, top) = ((2 * (k % across) + side) * SHOWN, (k / across) * row);
-            for c in 0..3 {
-                for (y, line) in small.plane(c).chunks_exact(SHOWN).enumerate() {
-                    let at = c * n + (top + y) * wide + left;
-                    sheet.data[at..at + SHOWN].copy_from_slice(line);
-                }
-            }
-        }
-    }
-    sheet
 }
 
 /// The page in Markdown; `images` says whether its images lie beside it.
@@ -356,16 +332,6 @@ mod tests {
             (8, true, true, false)
         );
         assert!(box_around(&Mask::empty(10, 8)).is_none());
-    }
-
-    #[test]
-    fn each_photo_is_shown_beside_its_render() {
-        let of = |value: f32| Image::filled(480, 320, 3, value);
-        let shown: Vec<Shown> = (0..4).map(|view| Shown { view, photo: of(1.0), render: of(0.5) }).collect();
-        let sheet = contact_sheet(&shown);
-        assert_eq!((sheet.width, sheet.height), (6 * SHOWN, 2 * 160));
-        assert_eq!((sheet.at(0, 10, 10), sheet.at(0, SHOWN + 10, 10)), (1.0, 0.5));
-        assert_eq!((sheet.at(2, 10, 170), sheet.at(1, 3 * SHOWN, 170)), (1.0, 0.12));
     }
 
     #[test]

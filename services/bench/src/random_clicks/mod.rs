@@ -4,6 +4,7 @@
 mod page;
 mod prompts;
 mod reliability;
+mod worst;
 
 pub use page::{markdown, write};
 
@@ -119,6 +120,7 @@ fn of_scene(
         };
         let object = TrueObject { masks, shown: &shown };
         let mut random = Random::stream(options.seed, at as u64);
+        let mut worst: Option<(f64, PhotoPrompts)> = None;
         for click in 0..options.clicks {
             let (photo, mask) = &shown[random.below(shown.len())];
             let (prompts, note) = if options.boxes {
@@ -130,7 +132,11 @@ fn of_scene(
                 (Prompts::click(x, y), format!("{photo} at ({x}, {y})"))
             };
             let prompts = PhotoPrompts { photo: photo.clone(), prompts };
-            let numbers = object.numbers(&session, &settings, prompts, options)?;
+            let numbers = object.numbers(&session, &settings, prompts.clone(), options)?;
+            let iou = numbers.get("iou").copied().unwrap_or(0.0);
+            if worst.as_ref().is_none_or(|(least, _)| iou < *least) {
+                worst = Some((iou, prompts));
+            }
             put(Record {
                 protocol: PROTOCOL.into(),
                 scene: name_of(path),
@@ -143,6 +149,10 @@ fn of_scene(
                 numbers,
                 notes: vec![note],
             });
+        }
+        if let Some((_, prompts)) = worst {
+            let image = options.out.join(worst::image_of(&name_of(path), &name, f64::from(size)));
+            object.draw(&session, &settings, prompts, &image)?;
         }
     }
     drop(session);
@@ -159,8 +169,8 @@ struct TrueObject<'a> {
 
 /// An answer, compared with the true masks.
 struct ComparedAnswer {
-    /// IoU on each photo with a true mask; none where nothing was selected.
-    ious: Vec<f64>,
+    /// Each photo with a true mask, with the IoU on it; none where nothing was selected.
+    photos: Vec<(String, f64)>,
     /// Stray light of the object alone: its mean over the photos without prompts, and its worst photo; `None` where nothing was
     /// selected.
     stray_light: Option<[f64; 2]>,
@@ -176,7 +186,7 @@ struct ComparedAnswer {
 
 impl ComparedAnswer {
     fn mean(&self) -> f64 {
-        if self.ious.is_empty() { 0.0 } else { self.ious.iter().sum::<f64>() / self.ious.len() as f64 }
+        self.photos.iter().map(|(_, iou)| iou).sum::<f64>() / self.photos.len().max(1) as f64
     }
 }
 
@@ -191,6 +201,17 @@ fn confidence_numbers(answer: &Answer) -> Vec<(&'static str, f64)> {
         ("expected_iou", answer.segmented.expected_iou),
     ];
     known.into_iter().filter_map(|(name, number)| Some((name, f64::from(number?)))).collect()
+}
+
+/// The mask of the answer that was saved last in a photo, as taken; `None` where it selects nothing there.
+fn selected_in(session: &Session, answer: &ComparedAnswer, photo: &str) -> Result<Option<Mask>, PageError> {
+    if answer.photos.is_empty() {
+        return Ok(None);
+    }
+    let folder = session.folder().selection(SELECTION).join("masks");
+    let files = MaskFiles::new(&folder, session.scene().views.iter().map(|view| view.name.as_str()));
+    let Some(file) = files.find(photo).map_err(|e| unread(&folder, &e))? else { return Ok(None) };
+    Ok(Some(Mask::read_png(&file).map_err(|e| failed(e.into()))?))
 }
 
 /// The selection that answers are saved as.
@@ -211,7 +232,7 @@ impl TrueObject<'_> {
         let mut answer = self.answer(session, settings, &prompts, 0)?;
         let mut numbers = BTreeMap::from([
             ("iou".to_owned(), answer.mean()),
-            ("worst".to_owned(), answer.ious.iter().copied().reduce(f64::min).unwrap_or(0.0)),
+            ("worst".to_owned(), answer.photos.iter().map(|(_, iou)| *iou).reduce(f64::min).unwrap_or(0.0)),
         ]);
         let known = [
             ("select_s", answer.select_s),
@@ -291,7 +312,7 @@ impl TrueObject<'_> {
                 session.save(SELECTION, &answer).map_err(failed)?;
                 let scored = score(session.folder(), SELECTION, self.masks).map_err(failed)?;
                 Ok(ComparedAnswer {
-                    ious: scored.photos.iter().map(|photo| photo.iou).collect(),
+                    photos: scored.photos.iter().map(|of| (of.photo.clone(), of.iou)).collect(),
                     stray_light: Some([scored.stray_light, scored.worst_stray_light()]),
                     select_s: Some(answer.select_s).filter(|s| s.is_finite()),
                     first_s,
@@ -301,7 +322,7 @@ impl TrueObject<'_> {
             }
             // Nothing selected is nothing right.
             Err(RunError::Segment(error)) if error.is_nothing() => Ok(ComparedAnswer {
-                ious: Vec::new(),
+                photos: Vec::new(),
                 stray_light: None,
                 select_s: None,
                 first_s,
@@ -319,18 +340,10 @@ impl TrueObject<'_> {
         session: &Session,
         answer: &ComparedAnswer,
     ) -> Result<Option<PhotoPrompts>, PageError> {
-        let folder = session.folder().selection(SELECTION).join("masks");
-        let files = MaskFiles::new(&folder, session.scene().views.iter().map(|view| view.name.as_str()));
         let mut worst: Option<(f32, PhotoPrompts)> = None;
         for (photo, truth) in self.shown {
-            let file = match answer.ious.is_empty() {
-                true => None,
-                false => files.find(photo).map_err(|e| unread(&folder, &e))?,
-            };
-            let mask = match file {
-                Some(file) => Mask::read_png(&file).map_err(|e| failed(e.into()))?,
-                None => Mask::empty(truth.width(), truth.height()),
-            };
+            let mask = selected_in(session, answer, photo)?
+                .unwrap_or_else(|| Mask::empty(truth.width(), truth.height()));
             let Some((depth, point)) = worst_error(truth, &mask.resized(truth.width(), truth.height()))
             else {
                 continue;

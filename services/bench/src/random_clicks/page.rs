@@ -2,6 +2,7 @@
 
 use super::prompts::{BOX, BOX_MARGIN, INSET};
 use super::reliability;
+use super::worst::{image_of, worst};
 use crate::page::{PageError, io};
 use segwild_eval::metrics::Spread;
 use segwild_eval::record::{Record, Results};
@@ -96,8 +97,8 @@ impl ClickRow {
     }
 }
 
-/// The page in Markdown.
-pub fn markdown(results: &Results) -> String {
+/// The page in Markdown; `images` says whether its images lie beside it.
+pub fn markdown(results: &Results, images: bool) -> String {
     let by = stamp::providers([results]);
     let boxes = results.records.iter().any(|r| r.setting == BOX);
     let (what, how) = match boxes {
@@ -170,11 +171,33 @@ pub fn markdown(results: &Results) -> String {
         if let Some(mean) = ClickRow::mean(&rows) {
             let _ = writeln!(text, "| **mean** | {} objects | | {} |", rows.len(), mean.cells());
         }
+        text.push_str(&worst_prompts(&of_size, size, images));
     }
     text.push_str(&boundaries(&results.records));
     text.push_str(&reliability::section(&results.records));
     for what in &results.missing {
         let _ = writeln!(text, "\nNot measured: {what}.");
+    }
+    text
+}
+
+/// The worst prompt of each object of one size, and its image.
+fn worst_prompts(records: &[&Record], size: f64, images: bool) -> String {
+    let mut text = String::from(
+        "\nThe worst prompt of each object:\n\n| scene | object | mean IoU | prompt |\n|---|---|---:|---|\n",
+    );
+    let worst = worst(records);
+    for r in &worst {
+        let iou = r.numbers.get("iou").copied().unwrap_or(0.0);
+        let prompt = r.notes.first().map_or("", String::as_str);
+        let _ = writeln!(text, "| {} | {} | {iou:.3} | {prompt} |", r.scene, r.target);
+    }
+    if images {
+        for r in &worst {
+            let image = image_of(&r.scene, &r.target, size);
+            let _ =
+                write!(text, "\n![{}, {}: true masks, each beside the answer]({image})\n", r.scene, r.target);
+        }
     }
     text
 }
@@ -224,15 +247,18 @@ fn boundaries(records: &[Record]) -> String {
     text
 }
 
-/// Writes the page into the folder, and to `page`, if that is given.
+/// Writes the page with its images into the folder, and without them to `page`, if that is given: images show photos, which may
+/// not be passed on.
 ///
 /// # Errors
 /// When a file cannot be written.
 pub fn write(out: &Path, page: Option<&Path>, results: &Results) -> Result<PathBuf, PageError> {
     let file = out.join("clicks.md");
-    for file in std::iter::once(file.as_path()).chain(page) {
-        io(file, files::write_plain(file, markdown(results)).map_err(std::io::Error::other))?;
-    }
+    let put = |file: &Path, images| {
+        io(file, files::write_plain(file, markdown(results, images)).map_err(std::io::Error::other))
+    };
+    put(&file, true)?;
+    page.map_or(Ok(()), |page| put(page, false))?;
     Ok(file)
 }
 
@@ -264,7 +290,7 @@ mod tests {
         };
         let records =
             vec![record("a", 0, 1.0), record("a", 1, 0.8), record("a", 2, 0.9), record("b", 0, 0.1)];
-        let page = markdown(&Results { records, ..Results::default() });
+        let page = markdown(&Results { records, ..Results::default() }, true);
         assert!(
             page.contains(
                 "| square | a | 3 | 0.900 | 0.85 / 0.90 / 0.95 | 0.67 | 0.67 | 0.900 | 0.67 | 2.0 | 4.0 | 0.100 | 0.550 | 0.10 | 1.0 |"
@@ -275,6 +301,10 @@ mod tests {
         assert!(page.contains("| 2.0 | 4.0 | 0.500 | 0.750 | 0.10 | 1.0 |\n"), "{page}");
         assert!(page.contains("Stray light is") && page.contains("than 2 % of the diagonal"), "{page}");
         assert!(page.contains("built-in"), "{page}");
+        assert!(
+            page.contains("| square | a | 0.800 |") && page.contains("(worst-square-a-320.png)"),
+            "{page}"
+        );
     }
 
     #[test]
@@ -308,8 +338,8 @@ mod tests {
         let numbers = [("iou".to_owned(), 0.5), ("select_s".to_owned(), 1.0), ("first_s".to_owned(), 0.1)];
         let record =
             Record { at: Some(320.0), target: "a".into(), numbers: numbers.into(), ..Record::default() };
-        let page = markdown(&Results { records: vec![record], ..Results::default() });
+        let page = markdown(&Results { records: vec![record], ..Results::default() }, false);
         assert!(page.contains("| - | - | - | - | - | - | 0.10 | 1.0 |\n"), "{page}");
-        assert!(!page.contains("Stray light is"), "{page}");
+        assert!(!page.contains("Stray light is") && !page.contains(".png"), "{page}");
     }
 }
