@@ -132,3 +132,164 @@ fn compared(
     }
     Ok(Some(ComparedSilhouette { agreement: own.iou(&silhouette) as f32, shown }))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Evidence, PhotoVerdict, PhotoVisit, SegmentSettings};
+    use segwild_raster::{CpuEngine, ProjectOptions};
+    use segwild_scene::{Camera, Pose};
+
+    /// Two balls of splats beside each other, the first one labelled, before a camera in front and one on the right.
+    struct TwoBalls {
+        splats: Splats,
+        labels: Vec<bool>,
+        views: [PosedView; 2],
+        settings: SegmentSettings,
+    }
+
+    const LEFT: Vec3 = Vec3::new(-0.6, 0.0, 3.0);
+
+    fn two_balls() -> TwoBalls {
+        let mut splats = Splats::default();
+        for centre in [LEFT, Vec3::new(0.6, 0.0, 3.0)] {
+            for i in 0..27 {
+                let at = |n: i32| 0.15 * (n % 3 - 1) as f32;
+                splats.means.push((centre + Vec3::new(at(i), at(i / 3), at(i / 9))).to_array());
+                splats.log_scales.push([0.12f32.ln(); 3]);
+                splats.rotations.push([1.0, 0.0, 0.0, 0.0]);
+                splats.opacities.push(3.0);
+                splats.sh.extend([0.0; 3]);
+            }
+        }
+        let camera = Camera { width: 160, height: 120, fx: 130.0, fy: 130.0, cx: 80.0, cy: 60.0 };
+        let posed = |name: &str, eye: Vec3| PosedView {
+            name: name.into(),
+            camera,
+            pose: Pose::look_at(eye, Vec3::new(0.0, 0.0, 3.0), Vec3::NEG_Y),
+        };
+        TwoBalls {
+            splats,
+            labels: (0..54).map(|i| i < 27).collect(),
+            views: [posed("front.jpg", Vec3::ZERO), posed("right.jpg", Vec3::new(3.0, 0.0, 0.5))],
+            settings: SegmentSettings::default(),
+        }
+    }
+
+    fn request<'a>(engine: &'a CpuEngine, world: &'a TwoBalls) -> Request<'a> {
+        Request {
+            rasterizer: engine,
+            backend: engine,
+            options: ProjectOptions::default(),
+            splats: &world.splats,
+            views: &world.views,
+            prompts: &[],
+            prior: None,
+            features: None,
+            graph: None,
+            shown: None,
+            frozen: None,
+            seen_once: None,
+            skies: None,
+            transients: None,
+            steps: None,
+            settings: &world.settings,
+        }
+    }
+
+    fn silhouette(request: &Request, labels: &[bool], view: usize) -> Mask {
+        let PosedView { camera, pose, .. } = &request.views[view];
+        let camera = camera.scaled_to(AGREEMENT_SIZE);
+        visible_mask(request.rasterizer, request.splats, labels, &request.options, &camera, pose).unwrap()
+    }
+
+    fn selection(labels: &[bool], visits: Vec<PhotoVisit>) -> Selection {
+        Selection {
+            labels: labels.to_vec(),
+            score: vec![1.0; labels.len()],
+            similarity: None,
+            evidence: Evidence::none(labels.len()),
+            visits,
+            frozen: None,
+            parts_removed: 0,
+            seen_once: 0,
+            agreement: 1.0,
+            alone: false,
+        }
+    }
+
+    fn refused(view: usize, mask: Mask) -> PhotoVisit {
+        let verdict = PhotoVerdict::Disagrees;
+        PhotoVisit { view, verdict, agreement: 0.0, mask: None, refused: Some(mask), visibility: Vec::new() }
+    }
+
+    fn scored(view: usize, mask: &Mask) -> (usize, ScoredMask) {
+        (view, ScoredMask { mask: mask.clone(), predicted_iou: 1.0, stability: 1.0 })
+    }
+
+    #[test]
+    fn a_photo_agrees_by_the_iou_of_its_mask_with_the_silhouette() {
+        let (engine, world) = (CpuEngine::new(), two_balls());
+        let request = request(&engine, &world);
+        let own = silhouette(&request, &world.labels, 0);
+        let all = silhouette(&request, &[true; 54], 1);
+        let chosen = selection(&world.labels, vec![refused(1, all.clone())]);
+        let measured = measure(&request, &chosen, &SpikeCut::default(), &[scored(0, &own)]).unwrap();
+        let [front, right] = &measured.photos[..] else { panic!("{measured:?}") };
+        assert_eq!((front.photo.as_str(), front.prompted, front.agreement), ("front.jpg", true, 1.0));
+        assert_eq!(front.shown, own.count() as f32 / (own.width() * own.height()) as f32);
+        let expected = all.iou(&silhouette(&request, &world.labels, 1)) as f32;
+        assert!(
+            (right.agreement - expected).abs() < 1e-6 && expected < 0.9,
+            "{} {expected}",
+            right.agreement
+        );
+        assert!(!right.prompted);
+        // Both see the middle of the labelled ball.
+        assert_eq!(measured.facing, [front.direction, right.direction]);
+        assert!((front.direction - (Vec3::ZERO - LEFT).normalize()).length() < 0.05, "{}", front.direction);
+    }
+
+    #[test]
+    fn what_transients_cover_counts_neither_for_nor_against() {
+        let (engine, world) = (CpuEngine::new(), two_balls());
+        let request = request(&engine, &world);
+        let own = silhouette(&request, &world.labels, 0);
+        let both = silhouette(&request, &[true; 54], 0);
+        let reader = move |_: usize| Some(Mask::from_fn(160, 120, |x, _| x >= 80));
+        let covered = Request { transients: Some(&reader), ..request };
+        let agreement = |request: &Request| {
+            let chosen = selection(&world.labels, Vec::new());
+            measure(request, &chosen, &SpikeCut::default(), &[scored(0, &both)]).unwrap().photos[0].agreement
+        };
+        assert!(agreement(&request) < 0.6, "the mask has the other ball too: {}", agreement(&request));
+        assert!(agreement(&covered) > 0.95, "{} of {}", agreement(&covered), own.count());
+    }
+
+    #[test]
+    fn splats_that_the_spike_cut_drops_are_not_part_of_the_silhouette() {
+        let (engine, world) = (CpuEngine::new(), two_balls());
+        let request = request(&engine, &world);
+        let own = silhouette(&request, &world.labels, 0);
+        let chosen = selection(&[true; 54], Vec::new());
+        let cut = SpikeCut { dropped: (27..54).collect(), ..SpikeCut::default() };
+        let measured = measure(&request, &chosen, &cut, &[scored(0, &own)]).unwrap();
+        assert_eq!(measured.photos[0].agreement, 1.0);
+    }
+
+    #[test]
+    fn nothing_selected_and_nothing_shown_measure_nothing() {
+        let (engine, world) = (CpuEngine::new(), two_balls());
+        let request = request(&engine, &world);
+        let empty = Mask::empty(160, 120);
+        let none = selection(&[false; 54], vec![refused(0, empty.clone())]);
+        assert_eq!(measure(&request, &none, &SpikeCut::default(), &[]).unwrap(), MeasuredPhotos::default());
+        // A camera that faces the other way shows nothing of the object and has an empty mask.
+        let mut turned = two_balls();
+        turned.views[1].pose = Pose::look_at(Vec3::ZERO, Vec3::NEG_Z, Vec3::NEG_Y);
+        let request = Request { views: &turned.views, ..request };
+        let chosen = selection(&world.labels, vec![refused(1, empty)]);
+        let measured = measure(&request, &chosen, &SpikeCut::default(), &[]).unwrap();
+        assert!(measured.photos.is_empty() && measured.facing.len() == 1, "{measured:?}");
+    }
+}

@@ -104,3 +104,42 @@ pub(super) const TREES: [(usize, Growth); 5] = [
     (0, Growth::Average),
     (2, Growth::Average),
 ];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Three leaves of 3, 2 and 1 splats with light of 6, 3 and 1; the last splat is in no tree.
+    fn tree() -> SceneTree {
+        let area = |area| SplatGroup { area, ..SplatGroup::default() };
+        let merges =
+            MergeTree { leaves: 3, parent: vec![3, 3, 4, 4, 4], height: vec![0.0, 0.0, 0.0, 1.0, 2.0] };
+        let groups = [6.0, 3.0, 1.0, 9.0, 10.0].map(area).to_vec();
+        SceneTree {
+            leaf: vec![0, 0, 0, 1, 1, 2, NONE],
+            trees: vec![GroupTree { merges, groups }],
+            shown_by: vec![2; 7],
+        }
+    }
+
+    fn iou(labels: [bool; 7], leaves: [bool; 3]) -> f32 {
+        tree().light_iou(&labels, &leaves)
+    }
+
+    #[test]
+    fn leaves_count_by_their_light_and_by_the_share_of_their_splats() {
+        let first = [true, true, true, false, false, false, false];
+        assert_eq!(iou(first, [true, false, false]), 1.0);
+        assert_eq!(iou(first, [true, true, false]), 6.0 / 9.0);
+        assert_eq!(iou(first, [false, true, true]), 0.0);
+        // One of two splats is half of the light.
+        let and_half = [true, true, true, true, false, false, false];
+        assert!((iou(and_half, [true, false, false]) - 6.0 / 7.5).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_splat_in_no_tree_counts_for_nothing_and_nothing_has_no_iou() {
+        assert_eq!(iou([true, true, true, false, false, false, true], [true, false, false]), 1.0);
+        assert_eq!(iou([false, false, false, false, false, false, true], [false; 3]), 0.0);
+    }
+}
