@@ -283,6 +283,8 @@ fn write(
         }
         match transition.job() {
             Some(job) => drop(touched.insert(job.to_owned())),
+            // The file keeps no workers.
+            None if matches!(transition, Transition::Announced { .. }) => {}
             None => touched.extend(table.jobs().map(|status| status.job.id.clone())),
         }
     }

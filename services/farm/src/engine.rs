@@ -332,8 +332,14 @@ pub struct WorkerTally {
     pub returned: u64,
     /// Jobs that it fell silent with.
     pub silent: u64,
-    /// When it last took, renewed, stored or ended a job, or kept capacity for one.
+    /// When it last announced itself, took, renewed, stored or ended a job, or kept capacity for one.
     pub seen: f64,
+    /// What it has in all, as it last announced; `None` where it never did, or the log has forgotten it.
+    #[serde(default)]
+    pub whole: Option<Needs>,
+    /// What accelerator it has, by name.
+    #[serde(default)]
+    pub accelerator: Option<String>,
     /// The record that says so.
     pub(crate) seen_by: u64,
 }
@@ -370,6 +376,12 @@ pub trait JobEngine: Send + Sync {
     /// # Errors
     /// When the store fails.
     fn claim(&self, offer: &WorkerOffer) -> Result<Option<JobLease>, EngineError>;
+
+    /// Says what a worker has in all (`whole` and `accelerator` of the offer), and that it lives: for those who watch.
+    ///
+    /// # Errors
+    /// When the store fails.
+    fn announce(&self, offer: &WorkerOffer) -> Result<(), EngineError>;
 
     /// Renews a lease, and returns until when.
     ///

@@ -59,7 +59,7 @@ pub use artefacts::{
 };
 pub use batch::{BatchError, BatchFolder, BatchOptions, BatchRecord, BatchSummary};
 pub use clock::{JobClock, SimulatedClock, SystemClock};
-pub use crew::{BatchEvent, LEASE_S, StopBatch, StopLevel};
+pub use crew::{ANNOUNCE_EVERY, BatchEvent, LEASE_S, StopBatch, StopLevel};
 pub use embedded::EmbeddedEngine;
 pub use engine::{
     ChangeKind, Completed, EngineError, ErrorClass, FarmLogState, JobChange, JobEngine, JobFate, JobLease,

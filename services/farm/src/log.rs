@@ -68,6 +68,10 @@ impl<L: TransitionLog> JobEngine for L {
         self.transact(|table, now| table.claim(offer, now), then)
     }
 
+    fn announce(&self, offer: &WorkerOffer) -> Result<(), EngineError> {
+        self.transact(|table, _| table.announce(offer), |_, ()| ())
+    }
+
     fn heartbeat(&self, lease: &JobLease) -> Result<f64, EngineError> {
         let until = |table: &JobTable| table.job(&lease.job.id)?.lease_until;
         self.transact(|table, _| table.heartbeat(lease), |table, ()| until(table).unwrap_or(lease.until))

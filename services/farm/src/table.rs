@@ -242,6 +242,12 @@ impl JobTable {
         Decision { transitions, answer: Ok(job) }
     }
 
+    /// Says what a worker has, and that it lives.
+    pub fn announce(&self, offer: &WorkerOffer) -> Decision<()> {
+        let (worker, whole, accelerator) = (offer.worker.clone(), offer.whole, offer.accelerator.clone());
+        Decision::one(Transition::Announced { worker, whole, accelerator }, ())
+    }
+
     fn expiries(&self, now: f64) -> Vec<Transition> {
         let silent = |job: &&JobStatus| job.lease_until.is_some_and(|until| until < now);
         let held = self.held.iter().filter_map(|rank| Some(&self.entries.get(rank)?.status));
@@ -352,6 +358,12 @@ impl JobTable {
                 }
             }
             Transition::TimesMoved { seconds, since } => self.move_times(*seconds, *since),
+            Transition::Announced { worker, whole, accelerator } => {
+                let tally = self.workers.entry(worker.clone()).or_default();
+                (tally.seen, tally.seen_by) = (now, record);
+                (tally.whole, tally.accelerator) = (Some(*whole), accelerator.clone());
+                self.forget_worker();
+            }
             _ => {}
         }
         let Some(rank) = transition.job().and_then(|id| self.ranks.get(id)).copied() else {
@@ -390,6 +402,11 @@ impl JobTable {
         if !matches!(transition, Transition::Expired { .. } | Transition::Released { .. }) {
             (tally.seen, tally.seen_by) = (now, record);
         }
+        self.forget_worker();
+    }
+
+    /// Forgets the worker that was not seen for longest, where there are too many.
+    fn forget_worker(&mut self) {
         if self.workers.len() > MOST_WORKERS {
             let longest = self.workers.iter().min_by(|(_, a), (_, b)| a.seen.total_cmp(&b.seen));
             if let Some(name) = longest.map(|(name, _)| name.clone()) {
@@ -529,6 +546,7 @@ impl Entry {
             | Transition::Waited { .. }
             | Transition::Stored { .. }
             | Transition::Kept { .. }
+            | Transition::Announced { .. }
             | Transition::ClockSet { .. }
             | Transition::TimesMoved { .. } => Vec::new(),
         }

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::engine::ErrorClass;
-use crate::job::Job;
+use crate::job::{Job, Needs};
 
 /// One change of the jobs. It says what was decided; what follows from it (when a rest ends, whether a failure was the
 /// last) is computed by [`JobTable::apply`](crate::JobTable::apply), by everybody in the same way.
@@ -89,6 +89,15 @@ pub enum Transition {
         /// For how long, in seconds.
         keep_s: f64,
     },
+    /// A worker says what it has, and that it lives.
+    Announced {
+        /// The worker.
+        worker: String,
+        /// What it has in all.
+        whole: Needs,
+        /// What accelerator it has, by name.
+        accelerator: Option<String>,
+    },
     /// The wall clock was set while no time passed: all times to come move along.
     ClockSet {
         /// By how much, in seconds; back is negative.
@@ -111,7 +120,7 @@ pub enum Transition {
 }
 
 impl Transition {
-    /// The job; `None` where it is about all of them.
+    /// The job; `None` where it is about all of them, or about a worker.
     pub fn job(&self) -> Option<&str> {
         match self {
             Self::Published(job) => Some(&job.id),
@@ -127,7 +136,7 @@ impl Transition {
             | Self::Stored { job, .. }
             | Self::Kept { job, .. }
             | Self::RestEnded { job } => Some(job),
-            Self::ClockSet { .. } | Self::TimesMoved { .. } => None,
+            Self::Announced { .. } | Self::ClockSet { .. } | Self::TimesMoved { .. } => None,
         }
     }
 }

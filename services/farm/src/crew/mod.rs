@@ -35,6 +35,8 @@ const TICK: Duration = Duration::from_millis(100);
 const JUMP_REPORTED_S: f64 = 60.0;
 /// How often work is requested when nothing has changed.
 const ASK_EVERY: Duration = Duration::from_secs(1);
+/// How often a worker that holds nothing tells its farm that it lives. One that holds scenes renews their leases.
+pub const ANNOUNCE_EVERY: Duration = Duration::from_secs(60);
 
 /// What a machine works with.
 pub(crate) struct CrewTerms<'a> {
@@ -70,7 +72,7 @@ impl CrewTerms<'_> {
     /// Works until nothing is left, or until a stop is requested; returns whether it was interrupted. Whatever goes wrong, no
     /// process is left running.
     pub fn work(self) -> Result<bool, EngineError> {
-        let mut crew = Crew { terms: self, assignments: Vec::new(), silent: false };
+        let mut crew = Crew { terms: self, assignments: Vec::new(), silent: false, announced: None };
         let outcome = crew.conduct();
         crew.abandon();
         outcome
@@ -82,6 +84,8 @@ struct Crew<'a> {
     assignments: Vec<Assignment>,
     /// Whether the engine did not answer the last time.
     silent: bool,
+    /// When it last told its farm what it has.
+    announced: Option<Instant>,
 }
 
 impl Crew<'_> {
@@ -115,6 +119,7 @@ impl Crew<'_> {
                     return Ok(self.open_jobs()? != Some(0));
                 }
             } else if changed || last_request.is_none_or(|at| at.elapsed() >= ASK_EVERY) {
+                self.announce()?;
                 while self.claim()? {}
                 last_request = Some(Instant::now());
                 if self.terms.ends_when_idle && self.assignments.is_empty() && self.open_jobs()? == Some(0) {
@@ -175,19 +180,37 @@ impl Crew<'_> {
         free.get(..count as usize).map(<[u32]>::to_vec).unwrap_or_default()
     }
 
+    /// What it has, and how much of that is free.
+    fn offer(&self, free: Needs) -> WorkerOffer {
+        WorkerOffer {
+            worker: self.terms.name.clone(),
+            free,
+            whole: self.terms.budget,
+            accelerator: self.terms.accelerator.clone(),
+            lease_s: LEASE_S,
+        }
+    }
+
+    /// Tells a farm what the machine has: at first, and again and again while it holds nothing.
+    fn announce(&mut self) -> Result<(), EngineError> {
+        let again = |at: Instant| self.assignments.is_empty() && at.elapsed() >= ANNOUNCE_EVERY;
+        if !self.terms.host.is_remote() || !self.announced.is_none_or(again) {
+            return Ok(());
+        }
+        let announced = self.terms.engine.announce(&self.offer(self.free()));
+        if self.answered(announced)?.is_some() {
+            self.announced = Some(Instant::now());
+        }
+        Ok(())
+    }
+
     /// Takes a scene; `false` when none fits now.
     fn claim(&mut self) -> Result<bool, EngineError> {
         let free = self.free();
         if free.cores == 0 {
             return Ok(false);
         }
-        let claimed = self.terms.engine.claim(&WorkerOffer {
-            worker: self.terms.name.clone(),
-            free,
-            whole: self.terms.budget,
-            accelerator: self.terms.accelerator.clone(),
-            lease_s: LEASE_S,
-        });
+        let claimed = self.terms.engine.claim(&self.offer(free));
         let Some(lease) = self.answered(claimed)?.flatten() else { return Ok(false) };
         let scene = match self.terms.host.scene(&lease.job) {
             Ok(scene) => scene,

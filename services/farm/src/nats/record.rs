@@ -156,6 +156,13 @@ fn message_of(transition: &Transition) -> v1::JobTransition {
         Transition::Kept { job, worker, keep_s } => {
             Change::Kept(v1::JobKept { job: job.clone(), worker: worker.clone(), keep_s: *keep_s })
         }
+        Transition::Announced { worker, whole, accelerator } => Change::Announced(v1::WorkerAnnounced {
+            worker: worker.clone(),
+            cores: whole.cores,
+            memory_bytes: whole.memory_bytes,
+            accelerators: whole.accelerators,
+            accelerator: accelerator.clone(),
+        }),
         Transition::ClockSet { seconds, since } => {
             Change::ClockSet(v1::ClockSet { seconds: *seconds, since: *since })
         }
@@ -197,6 +204,11 @@ fn transition_of(message: v1::JobTransition) -> Result<Transition, LogRecordErro
         Change::Waited(m) => Transition::Waited { job: m.job, reason: m.reason },
         Change::Stored(m) => Transition::Stored { job: m.job, checkpoint: m.checkpoint },
         Change::Kept(m) => Transition::Kept { job: m.job, worker: m.worker, keep_s: finite(m.keep_s)? },
+        Change::Announced(m) => Transition::Announced {
+            worker: m.worker,
+            whole: Needs { cores: m.cores, memory_bytes: m.memory_bytes, accelerators: m.accelerators },
+            accelerator: m.accelerator,
+        },
         Change::ClockSet(m) => {
             finite(m.seconds.abs())?;
             Transition::ClockSet { seconds: m.seconds, since: m.since }
@@ -264,6 +276,8 @@ mod tests {
             Transition::Waited { job: job(), reason: None },
             Transition::Stored { job: job(), checkpoint: "c".into() },
             Transition::Kept { job: job(), worker: "w".into(), keep_s: 300.0 },
+            Transition::Announced { worker: "w".into(), whole: needs, accelerator: Some("h100".into()) },
+            Transition::Announced { worker: "w".into(), whole: needs, accelerator: None },
             Transition::ClockSet { seconds: -5.0, since: 7 },
             Transition::TimesMoved { seconds: 5.0, since: 7 },
             Transition::RestEnded { job: job() },

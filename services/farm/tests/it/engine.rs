@@ -92,6 +92,9 @@ impl JobEngine for Faulty {
         let whole = if self.1 == EngineFault::SmallOnesFirst { Needs::default() } else { offer.whole };
         self.0.claim(&WorkerOffer { free, whole, ..offer.clone() })
     }
+    fn announce(&self, offer: &WorkerOffer) -> Result<(), EngineError> {
+        self.0.announce(offer)
+    }
     fn heartbeat(&self, lease: &JobLease) -> Result<f64, EngineError> {
         if self.1 == EngineFault::DeafToHeartbeats { Ok(lease.until) } else { self.0.heartbeat(lease) }
     }

@@ -132,6 +132,8 @@ fn a_log_is_compacted_and_a_new_machine_reads_the_same_jobs() {
     let done = engine.claim(&offer("w", 600.0)).unwrap().unwrap();
     engine.complete(&done, "done").unwrap();
     let held = engine.claim(&offer("w", 600.0)).unwrap().unwrap();
+    let has = WorkerOffer { accelerator: Some("h100".into()), ..offer("w", 600.0) };
+    engine.announce(&has).unwrap();
     let watcher = engine_at(&server, "f");
     while engine.records() < 2100 {
         engine.heartbeat(&held).unwrap();
@@ -144,6 +146,7 @@ fn a_log_is_compacted_and_a_new_machine_reads_the_same_jobs() {
     let (tallies, log) = (reader.tallies().unwrap(), reader.log_state().expect("a log"));
     assert_eq!(tallies, engine.tallies().unwrap());
     assert_eq!((tallies["w"].done, tallies["w"].failed), (1, 0));
+    assert_eq!((tallies["w"].whole, &tallies["w"].accelerator), (Some(has.whole), &has.accelerator));
     assert!(log.records < 100 && log.read_records < 100 && log.read_s > 0.0, "{log:?}");
     let writer = engine.log_state().expect("a log");
     assert!(writer.read_records >= 2100 && writer.records < 100, "{writer:?}");
