@@ -27,6 +27,7 @@ mod output;
 mod progress;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
+use segwild_farm::FarmAddressError;
 use std::process::ExitCode;
 
 /// Whether the innermost command is to print JSON.
@@ -46,6 +47,12 @@ fn refused(error: &clap::Error, words: &[String]) -> ExitCode {
     };
     if let Some(sentence) = commands::renamed(words, flag) {
         failure::Failure::usage(sentence).tell();
+        return ExitCode::from(exit::USAGE);
+    }
+    // The value itself would be printed, with its password.
+    let source = std::error::Error::source(error).and_then(|e| e.downcast_ref::<FarmAddressError>());
+    if let Some(secret @ FarmAddressError::Secret) = source {
+        failure::Failure::usage(secret.to_string()).tell();
         return ExitCode::from(exit::USAGE);
     }
     let _ = error.print();

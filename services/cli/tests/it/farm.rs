@@ -136,7 +136,12 @@ fn what_is_wrong_with_a_farm_is_named_in_words() {
     let file = show(&manifest(path, &["a"]));
     refuses(&["worker"], 2, &["--farm"]);
     refuses(&["worker", "--farm", "http://x/y"], 2, &["no farm", "nats://HOST:PORT/NAME"]);
-    refuses(&["worker", "--farm", "nats://me:pw@x/y"], 2, &["credentials file"]);
+    for command in ["worker", "serve"] {
+        let output = segwild(&[command, "--farm", "nats://me:hunter2@x/y"]);
+        let error = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{error}");
+        assert!(error.contains("credentials file") && !error.contains("hunter2"), "{error}");
+    }
     refuses(&["worker", "--farm", "nats://x/y", "--needs", "disk=3"], 2, &["`disk=3`", "cores=N"]);
     refuses(&["batch", &file, "--artefacts", "/tmp/x"], 2, &["--farm"]);
     let Some(server) = NatsServer::start(path) else { return };
