@@ -84,7 +84,7 @@ struct Crew<'a> {
     assignments: Vec<Assignment>,
     /// Whether the engine did not answer the last time.
     silent: bool,
-    /// When it last told its farm what it has.
+    /// When it last announced to its farm what it has.
     announced: Option<Instant>,
 }
 
