@@ -7,8 +7,8 @@ use crate::operators::{listen, metrics_listen};
 use crate::output::{print_json, print_line};
 use crate::progress::{duration, on_ctrl_c};
 use clap::{Arg, ArgAction, ArgMatches, Command};
-use segwild_monitor::view::{BatchView, RunView, Runs, SceneState, StageView};
-use segwild_monitor::words::bytes;
+use segwild_monitor::view::{BatchView, FarmWorkerView, RunView, Runs, SceneState, StageView};
+use segwild_monitor::words::{bytes, count};
 use segwild_monitor::{MonitorTarget, MonitorView};
 use std::sync::mpsc;
 use std::time::Duration;
@@ -127,10 +127,29 @@ fn stage_words(stage: &StageView) -> String {
     words.join(", ")
 }
 
+/// What a worker of a farm has, how much of that its scenes need, and when it was last seen.
+fn worker_words(worker: &FarmWorkerView) -> String {
+    let mut words = vec![count(worker.held as u32, "scene")];
+    if let Some(whole) = &worker.whole {
+        words.push(format!("{} of {}", worker.used.cores, count(whole.cores, "core")));
+        words.push(format!("{} of {}", bytes(worker.used.memory_bytes), bytes(whole.memory_bytes)));
+        if whole.accelerators > 0 {
+            words.push(format!("{} of {}", worker.used.accelerators, count(whole.accelerators, "accelerator")));
+        }
+    }
+    words.extend(worker.accelerator.clone());
+    words.push(format!("{} done, {} failed", worker.done, worker.failed));
+    words.push(format!("seen {} ago", duration(worker.seen_s)));
+    words.join(", ")
+}
+
 fn tell_batch(batch: &BatchView) -> Result<(), Failure> {
     match &batch.owner {
         Some(owner) => print_line(&format!("run by {owner}"))?,
         None => print_line("no process is running this batch")?,
+    }
+    for worker in batch.farm.iter().flat_map(|farm| &farm.workers) {
+        print_line(&format!("worker {}: {}", worker.name, worker_words(worker)))?;
     }
     for scene in &batch.scenes {
         // A kill or a stop of the batch ended the others, and they do not count.

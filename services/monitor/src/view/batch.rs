@@ -106,15 +106,22 @@ impl BatchView {
             used.accelerators += scene.needs.accelerators;
             scene.worker.clone_from(&job.worker);
         }
-        why::farm_scenes(&mut scenes, &waits);
         let own = FarmView::of(farm.engine.as_ref(), &jobs, now)?;
+        why::farm_scenes(&mut scenes, &jobs, &waits, &own.workers);
+        let whole = own.whole();
+        // Scenes may be held by workers that did not say what they have.
+        let budget = Needs {
+            cores: whole.cores.max(used.cores),
+            memory_bytes: whole.memory_bytes.max(used.memory_bytes),
+            accelerators: whole.accelerators.max(used.accelerators),
+        };
         Ok(BatchView {
             name: farm.name.clone(),
             folder: PathBuf::new(),
             time: now,
             owner: Some("its workers".into()),
             began: None,
-            budget: used,
+            budget,
             used,
             scenes,
             leases_expired: farm.engine.count(ChangeKind::Expired)?,

@@ -1,14 +1,26 @@
-//! A farm that is shown, and what only a farm has: workers, a queue and a log.
+//! A farm that is shown, and what only a farm has: workers, a queue, a past and a log.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
 
-use segwild_farm::{EngineError, FarmLogState, JobEngine, JobState, JobStatus, LEASE_S, WorkerTally};
+use segwild_farm::{
+    ANNOUNCE_EVERY, ChangeKind, EngineError, FarmLogState, JobChange, JobEngine, JobState, JobStatus,
+    LEASE_S, Needs, WorkerTally,
+};
 use serde::{Deserialize, Serialize};
 
 /// A worker that holds nothing and was not seen for so long is not shown, in seconds.
 const SHOWN_S: f64 = 3600.0;
+
+/// Rates are over so many seconds.
+const RATE_S: f64 = 3600.0;
+
+/// Points of the past that a view carries.
+const PAST: u64 = 48;
+
+/// Lengths of these points, in seconds: the shortest with which they cover what the log remembers.
+const LENGTHS_S: [f64; 4] = [60.0, 300.0, 900.0, 3600.0];
 
 /// A farm that is shown.
 #[derive(Clone)]
@@ -36,6 +48,30 @@ pub struct FarmView {
     pub workers: Vec<FarmWorkerView>,
     /// The log, where the engine keeps one.
     pub log: Option<FarmLogState>,
+    /// Scenes done per hour: over the last hour, or since the first change that the log remembers.
+    #[serde(default)]
+    pub done_per_hour: f64,
+    /// Seconds that the open scenes take at this rate; `None` where none is open, or none was done lately.
+    #[serde(default)]
+    pub left_s: Option<f64>,
+    /// What came of attempts over time, oldest first, as far as the log remembers it.
+    #[serde(default)]
+    pub past: Vec<FarmSample>,
+}
+
+/// What came of a farm's attempts in a stretch of time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FarmSample {
+    /// When it starts, in seconds since 1970.
+    pub time: f64,
+    /// How long it is, in seconds. The last one is not over.
+    pub seconds: f64,
+    /// Scenes that were done.
+    pub done: u64,
+    /// Attempts that failed and are followed by another one.
+    pub retried: u64,
+    /// Scenes that were given up.
+    pub dead: u64,
 }
 
 /// A worker of a farm, by what the log says.
@@ -53,8 +89,28 @@ pub struct FarmWorkerView {
     pub returned: u64,
     /// Scenes that it fell silent with.
     pub silent: u64,
-    /// Time since its last sign of life, in seconds. One that holds nothing gives none.
+    /// Time since its last sign of life, in seconds: it renews leases every 20 s, and announces itself every 60 s while it holds
+    /// nothing.
     pub seen_s: f64,
+    /// What it has in all; `None` where it did not say so.
+    #[serde(default)]
+    pub whole: Option<Needs>,
+    /// What the scenes that it holds need. It may give the last ones more, where nobody waits.
+    #[serde(default)]
+    pub used: Needs,
+    /// What accelerator it has, by name.
+    #[serde(default)]
+    pub accelerator: Option<String>,
+    /// Scenes that it has done per hour, as of the farm.
+    #[serde(default)]
+    pub done_per_hour: f64,
+}
+
+impl FarmWorkerView {
+    /// Whether it holds scenes, or has lately given a sign of life.
+    pub fn is_there(&self) -> bool {
+        self.held > 0 || self.seen_s <= 2.0 * ANNOUNCE_EVERY.as_secs_f64()
+    }
 }
 
 impl FarmView {
@@ -71,18 +127,20 @@ impl FarmView {
             *queue.entry(wanted).or_default() += 1;
             oldest_waiting_s = oldest_waiting_s.max(now - status.due);
         }
-        // How many scenes each worker holds, and when it last renewed one of them.
-        let mut held: BTreeMap<&str, (u64, f64)> = BTreeMap::new();
+        // How many scenes each worker holds, what they need, and when it last renewed one of them.
+        let mut held: BTreeMap<&str, (u64, Needs, f64)> = BTreeMap::new();
         for status in jobs {
             let Some(worker) = status.worker.as_deref() else { continue };
-            let (count, renewed) = held.entry(worker).or_default();
+            let (count, used, renewed) = held.entry(worker).or_default();
             *count += 1;
+            *used = sum(used, &status.job.needs);
             *renewed = renewed.max(status.lease_until.map_or(0.0, |until| until - LEASE_S));
         }
-        let tallies = engine.tallies()?;
+        let (tallies, changes) = (engine.tallies()?, engine.watch(0, usize::MAX)?);
+        let rates = FarmRates::of(&changes, now);
         let names: BTreeSet<&str> = tallies.keys().map(String::as_str).chain(held.keys().copied()).collect();
         let workers = names.into_iter().map(|name| {
-            let (held, renewed) = held.get(name).copied().unwrap_or_default();
+            let (held, used, renewed) = held.get(name).copied().unwrap_or_default();
             // The log may have forgotten what a worker did that still holds scenes.
             let tally = tallies.get(name);
             let count = |of: fn(&WorkerTally) -> u64| tally.map_or(0, of);
@@ -94,9 +152,130 @@ impl FarmView {
                 returned: count(|tally| tally.returned),
                 silent: count(|tally| tally.silent),
                 seen_s: (now - tally.map_or(renewed, |tally| tally.seen)).max(0.0),
+                whole: tally.and_then(|tally| tally.whole),
+                used,
+                accelerator: tally.and_then(|tally| tally.accelerator.clone()),
+                done_per_hour: rates.of_worker(name),
             }
         });
         let workers = workers.filter(|worker| worker.held > 0 || worker.seen_s <= SHOWN_S).collect();
-        Ok(Self { queue, oldest_waiting_s, workers, log: engine.log_state() })
+        let open = jobs.iter().filter(|s| matches!(s.state, JobState::Pending | JobState::Leased)).count();
+        let done_per_hour = rates.of_all();
+        let left_s = (open > 0 && done_per_hour > 0.0).then(|| open as f64 / done_per_hour * 3600.0);
+        let (log, past) = (engine.log_state(), past(&changes, now));
+        Ok(Self { queue, oldest_waiting_s, workers, log, done_per_hour, left_s, past })
+    }
+
+    /// What the workers that are there have together, as far as they say so.
+    pub(super) fn whole(&self) -> Needs {
+        let there = self.workers.iter().filter(|worker| worker.is_there());
+        there.filter_map(|worker| worker.whole).fold(Needs::default(), |all, own| sum(&all, &own))
+    }
+}
+
+/// Two needs together.
+fn sum(a: &Needs, b: &Needs) -> Needs {
+    Needs {
+        cores: a.cores.saturating_add(b.cores),
+        memory_bytes: a.memory_bytes.saturating_add(b.memory_bytes),
+        accelerators: a.accelerators.saturating_add(b.accelerators),
+    }
+}
+
+/// How many scenes were done lately, by whom.
+struct FarmRates<'a> {
+    /// Over how many hours.
+    hours: f64,
+    done: BTreeMap<&'a str, u64>,
+}
+
+impl<'a> FarmRates<'a> {
+    /// Of the changes that a log remembers, oldest first, at a time.
+    fn of(changes: &'a [JobChange], now: f64) -> Self {
+        let since = changes.first().map_or(now, |first| first.time).max(now - RATE_S);
+        let (mut takers, mut done): (BTreeMap<&str, &str>, BTreeMap<&str, u64>) = Default::default();
+        for change in changes {
+            match change.kind {
+                ChangeKind::Claimed => drop(takers.insert(change.job.as_str(), change.detail.as_str())),
+                ChangeKind::Completed if change.time >= since => {
+                    // The log may have forgotten who took it.
+                    let taker = takers.get(change.job.as_str()).copied().unwrap_or_default();
+                    *done.entry(taker).or_default() += 1;
+                }
+                _ => {}
+            }
+        }
+        // The first minute makes no rate.
+        Self { hours: (now - since).max(60.0) / 3600.0, done }
+    }
+
+    fn of_worker(&self, name: &str) -> f64 {
+        self.done.get(name).copied().unwrap_or_default() as f64 / self.hours
+    }
+
+    fn of_all(&self) -> f64 {
+        self.done.values().sum::<u64>() as f64 / self.hours
+    }
+}
+
+/// What came of attempts over time, by the changes that a log remembers.
+fn past(changes: &[JobChange], now: f64) -> Vec<FarmSample> {
+    let Some(first) = changes.first().map(|first| first.time).filter(|first| *first <= now) else {
+        return Vec::new();
+    };
+    let covers = |length: &f64| now - first <= length * (PAST - 1) as f64;
+    let seconds = LENGTHS_S.into_iter().find(covers).unwrap_or(LENGTHS_S[LENGTHS_S.len() - 1]);
+    let number = |time: f64| (time / seconds).floor().max(0.0) as u64;
+    let last = number(now);
+    let start = number(first).max(last.saturating_sub(PAST - 1));
+    let sample = |k: u64| FarmSample { time: k as f64 * seconds, seconds, ..FarmSample::default() };
+    let mut samples: Vec<FarmSample> = (start..=last).map(sample).collect();
+    for change in changes {
+        let at = number(change.time).checked_sub(start).and_then(|k| samples.get_mut(k as usize));
+        let Some(sample) = at else { continue };
+        match change.kind {
+            ChangeKind::Completed => sample.done += 1,
+            ChangeKind::Retried => sample.retried += 1,
+            ChangeKind::Died => sample.dead += 1,
+            _ => {}
+        }
+    }
+    samples
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn change(time: f64, job: &str, kind: ChangeKind, detail: &str) -> JobChange {
+        JobChange { revision: 0, time, job: job.into(), kind, attempt: 1, detail: detail.into() }
+    }
+
+    #[test]
+    fn rates_are_of_the_last_hour_and_the_past_covers_what_the_log_remembers() {
+        use ChangeKind::{Claimed, Completed, Died, Retried};
+        let changes = [
+            change(1000.0, "old", Claimed, "first"),
+            change(1100.0, "old", Completed, ""),
+            change(5000.0, "a", Claimed, "first"),
+            change(5100.0, "a", Retried, "again"),
+            change(5200.0, "a", Claimed, "second"),
+            change(5300.0, "a", Completed, ""),
+            change(5400.0, "b", Claimed, "second"),
+            change(5500.0, "b", Died, "bad input"),
+            change(5600.0, "c", Completed, ""),
+        ];
+        let rates = FarmRates::of(&changes, 6000.0);
+        assert_eq!((rates.of_worker("first"), rates.of_worker("second"), rates.of_all()), (0.0, 1.0, 2.0));
+        let samples = past(&changes, 6000.0);
+        assert_eq!((samples[0].time, samples[0].seconds, samples.len()), (900.0, 300.0, 18));
+        let all = samples.iter().fold((0, 0, 0), |(d, r, g), s| (d + s.done, r + s.retried, g + s.dead));
+        assert_eq!((all, samples[0].done), ((3, 1, 1), 1));
+        // What is older than the longest past is left out, and a log without a change has none.
+        let late = past(&changes, 500_000.0);
+        assert_eq!((late.len(), late[0].seconds, late[0].done), (48, 3600.0, 0));
+        assert!(past(&[], 6000.0).is_empty() && past(&changes, 10.0).is_empty());
+        // In its first minutes a farm has no rate of thousands.
+        assert_eq!(FarmRates::of(&changes[5..6], 5301.0).of_all(), 60.0);
     }
 }

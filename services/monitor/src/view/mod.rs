@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 
 pub use crate::disk::Disk;
 pub use batch::BatchView;
-pub use farm::{FarmTarget, FarmView, FarmWorkerView};
+pub use farm::{FarmSample, FarmTarget, FarmView, FarmWorkerView};
 pub use folder::ViewError;
 pub use run::{LoggedEvent, MailboxView, PhotoFailure, RunState, RunView, STALE_S, SelectionView};
 pub use runs::Runs;
@@ -67,8 +67,18 @@ impl MonitorTarget {
             MonitorTarget::Batch(folder) => {
                 MonitorView::Batch(Box::new(BatchView::read(folder, runs, now())?))
             }
-            MonitorTarget::Farm(farm) => MonitorView::Batch(Box::new(BatchView::of_farm(farm, now())?)),
+            MonitorTarget::Farm(farm) => MonitorView::Batch(Box::new(farm.view()?)),
         })
+    }
+}
+
+impl FarmTarget {
+    /// How it is now.
+    ///
+    /// # Errors
+    /// When the farm cannot be read.
+    pub fn view(&self) -> Result<BatchView, ViewError> {
+        BatchView::of_farm(self, now())
     }
 }
 

@@ -3,8 +3,9 @@
 use crate::common::*;
 use segwild_farm::{BatchFolder, BatchRecord, EmbeddedEngine, Job, JobEngine, Needs, WorkerOffer};
 use segwild_monitor::metrics::render;
-use segwild_monitor::view::SceneState;
+use segwild_monitor::view::{BatchView, FarmTarget, SceneState};
 use segwild_monitor::{MonitorView, top};
+use std::sync::Arc;
 
 #[test]
 fn a_batch_shows_its_scenes_and_why_they_wait() {
@@ -149,4 +150,34 @@ fn a_scene_that_does_not_run_has_no_rates_and_an_attempt_that_was_cut_short_is_n
     assert!(row("bad").contains(" 1/3") && !row("bad").contains("0.0"), "{page}");
     let totals = page.lines().nth(1).expect("a line");
     assert!(totals.contains("cores 2 of 2") && !totals.ends_with('\u{2026}'), "nothing is cut: {totals}");
+}
+
+#[test]
+fn a_farm_shows_what_its_machines_have_and_that_none_fits_a_scene() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let engine = Arc::new(EmbeddedEngine::open(dir.path().join("jobs.sqlite")).expect("an engine"));
+    let target = FarmTarget { name: "farm".into(), engine: engine.clone() };
+    let seen = || target.view().expect("a view");
+    let small = Needs { cores: 1, memory_bytes: 1 << 30, accelerators: 0 };
+    for (name, cores) in [("first", 1), ("second", 1), ("huge", 64)] {
+        engine.publish(&Job::new(name, "{}", Needs { cores, ..small })).expect("it is published");
+    }
+    let why = |view: &BatchView| view.scenes[2].why.clone().unwrap_or_default();
+    assert!(why(&seen()).ends_with("; no worker is there"), "{}", why(&seen()));
+    let whole = Needs { cores: 8, memory_bytes: 4 << 30, accelerators: 0 };
+    let offer = WorkerOffer::all("machine", whole, 60.0);
+    engine.announce(&offer).expect("it works");
+    let idle = seen().farm.expect("a farm").workers[0].clone();
+    assert_eq!((idle.name.as_str(), idle.whole, idle.held), ("machine", Some(whole), 0));
+    let claim = || engine.claim(&offer).expect("it works").expect("a lease");
+    engine.complete(&claim(), "done").expect("it is held");
+    assert_eq!(claim().job.id, "second");
+    let view = seen();
+    assert_eq!((view.budget, view.used), (whole, small));
+    assert!(why(&view).ends_with("; of 1 worker none has that"), "{}", why(&view));
+    let farm = view.farm.expect("a farm");
+    assert_eq!((farm.workers[0].used, farm.workers[0].held, farm.workers[0].done), (small, 1, 1));
+    assert!(farm.workers[0].done_per_hour > 0.0 && farm.workers[0].done_per_hour == farm.done_per_hour);
+    assert!(farm.left_s.is_some_and(|left| left > 0.0), "{:?}", farm.left_s);
+    assert_eq!(farm.past.iter().map(|sample| sample.done).sum::<u64>(), 1);
 }

@@ -40,6 +40,30 @@ fn the_operators_page_explains_every_metric() {
 }
 
 #[test]
+fn the_dashboards_show_metrics_that_are_there() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/grafana/dashboards");
+    let known: BTreeSet<&str> = Metric::ALL.iter().map(|metric| metric.name()).collect();
+    let mut shown = BTreeSet::new();
+    for dashboard in ["segwild.json", "farm.json"] {
+        let text = std::fs::read_to_string(folder.join(dashboard)).expect("a dashboard");
+        let page: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+        let panels = page["panels"].as_array().expect("panels");
+        for target in panels.iter().flat_map(|panel| panel["targets"].as_array().expect("targets")) {
+            let expression = target["expr"].as_str().expect("an expression");
+            let words = expression.split(|c: char| !(c.is_ascii_alphanumeric() || c == '_'));
+            for name in words.filter(|word| word.starts_with("segwild_")) {
+                let name = name.strip_suffix("_bucket").unwrap_or(name);
+                assert!(known.contains(name), "{dashboard}: {name}");
+                shown.insert(name.to_owned());
+            }
+        }
+    }
+    // Every metric of a farm has a panel.
+    let missing = known.iter().filter(|name| name.starts_with("segwild_farm_") && !shown.contains(**name));
+    assert_eq!(missing.count(), 0, "{shown:?}");
+}
+
+#[test]
 fn the_metrics_text_holds_the_view() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let (path, _ledger, _lock) = batch_in(dir.path());

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use segwild_farm::{JobTurn, Needs};
+use segwild_farm::{JobStatus, JobTurn, Needs};
 
-use crate::view::{SceneState, SceneView};
+use crate::view::{FarmWorkerView, SceneState, SceneView};
 use crate::words::{bytes, count, duration};
 
 /// Scenes wait for their turn, for space, for the end of a rest, or for what keeps their process from starting.
@@ -35,8 +35,13 @@ pub(crate) fn scenes(
 }
 
 /// Scenes of a farm wait for a worker that has what they need, for the end of a rest, or for what keeps a process from starting.
-pub(crate) fn farm_scenes(all: &mut [SceneView], waits: &BTreeMap<String, String>) {
-    for scene in all.iter_mut() {
+pub(crate) fn farm_scenes(
+    all: &mut [SceneView],
+    jobs: &[JobStatus],
+    waits: &BTreeMap<String, String>,
+    workers: &[FarmWorkerView],
+) {
+    for (scene, status) in all.iter_mut().zip(jobs) {
         scene.why = match scene.state {
             SceneState::Done => None,
             SceneState::Dead => scene.error.as_ref().map(|e| format!("given up: {e}")),
@@ -45,16 +50,32 @@ pub(crate) fn farm_scenes(all: &mut [SceneView], waits: &BTreeMap<String, String
             SceneState::Waiting => Some(match (scene.rests_s, &scene.error) {
                 (Some(s), Some(error)) => format!("tries again in {} after: {error}", duration(s)),
                 (Some(s), None) => format!("starts in {}", duration(s)),
-                (None, _) => {
-                    let memory = bytes(scene.needs.memory_bytes);
-                    let mut needs = format!("{} and {memory} of memory", count(scene.needs.cores, "core"));
-                    if scene.needs.accelerators > 0 {
-                        needs += &format!(" and {}", count(scene.needs.accelerators, "accelerator"));
-                    }
-                    format!("waits for a worker with {needs}")
-                }
+                (None, _) => missing_worker(&scene.needs, status.job.accelerator.as_deref(), workers),
             }),
         };
+    }
+}
+
+/// What a worker must have, and whether one is there that has it once it is free.
+fn missing_worker(needs: &Needs, accelerator: Option<&str>, workers: &[FarmWorkerView]) -> String {
+    let memory = bytes(needs.memory_bytes);
+    let mut text = format!("waits for a worker with {} and {memory} of memory", count(needs.cores, "core"));
+    if needs.accelerators > 0 {
+        text += &format!(" and {}", count(needs.accelerators, "accelerator"));
+    }
+    if let Some(name) = accelerator {
+        text += &format!(" ({name})");
+    }
+    let there: Vec<&FarmWorkerView> = workers.iter().filter(|worker| worker.is_there()).collect();
+    // A worker of an earlier version does not say what it has.
+    let could = |worker: &&FarmWorkerView| {
+        let has_it = accelerator.is_none() || worker.accelerator.as_deref() == accelerator;
+        worker.whole.is_none_or(|whole| needs.fit(&whole) && has_it)
+    };
+    match there.len() {
+        0 => text + "; no worker is there",
+        _ if there.iter().any(could) => text,
+        n => format!("{text}; of {} none has that", count(n as u32, "worker")),
     }
 }
 
