@@ -87,7 +87,12 @@ pub fn reach(matches: &ArgMatches, writer: &str) -> Result<Option<ReachedFarm>, 
 
 /// A farm as `status`, `top` and `/metrics` show it.
 pub fn shown(engine: &Arc<NatsEngine>) -> MonitorTarget {
-    MonitorTarget::Farm(FarmTarget { name: engine.address().to_string(), engine: engine.clone() })
+    MonitorTarget::Farm(shown_farm(engine))
+}
+
+/// A farm as the page shows it, under its address.
+pub fn shown_farm(engine: &Arc<NatsEngine>) -> FarmTarget {
+    FarmTarget { name: engine.address().to_string(), engine: engine.clone() }
 }
 
 /// What a command shows: the farm of `--farm`, or the folder of a run or a batch.

@@ -7,8 +7,10 @@ use futures_util::StreamExt;
 use futures_util::stream::{self, BoxStream};
 use segwild_farm::{EmbeddedEngine, EngineError, JobEngine, JobState};
 use segwild_flow::Stopper;
+use segwild_monitor::view::BatchView;
 use segwild_monitor::{MonitorTarget, MonitorView};
 use segwild_pipeline::{PackedSplats, RunError};
+use std::path::Path;
 use std::sync::{Arc, Weak};
 use tokio::sync::watch;
 
@@ -104,26 +106,60 @@ pub(crate) async fn answered<T: Send + 'static>(
     apart(move || Ok(work(studio)?)).await
 }
 
-/// The view of operators, as `segwild status --json` prints it.
+/// The view of operators, as `segwild status --json` prints it: of the folder, or of the farm where there is no folder.
 pub(crate) async fn status(runs: Runs) -> Answered<MonitorView> {
-    let view = move || MonitorTarget::at(runs.root()).and_then(|target| target.view());
+    let Some(root) = runs.root().map(Path::to_owned) else {
+        let farm = farm(runs).await?.ok_or_else(no_farm)?;
+        return Ok(MonitorView::Batch(Box::new(Arc::unwrap_or_clone(farm))));
+    };
+    let view = move || MonitorTarget::at(&root).and_then(|target| target.view());
     apart(move || view().map_err(|e| Refusal::Because(RefusalKind::Unavailable, e.to_string()))).await
+}
+
+/// The view of the farm; `None` where the server shows none.
+pub(crate) async fn farm(runs: Runs) -> Answered<Option<Arc<BatchView>>> {
+    apart(move || {
+        let Some(farm) = runs.farm() else { return Ok(None) };
+        farm.view().map(Some).map_err(|e| Refusal::Because(RefusalKind::Unavailable, e.to_string()))
+    })
+    .await
+}
+
+/// Gives a scene of the farm that was given up another chance.
+pub(crate) async fn retry_on_farm(runs: Runs, scene: String) -> Answered<()> {
+    apart(move || {
+        runs.farm().ok_or_else(no_farm)?.retry(&scene).map_err(|error| match error {
+            EngineError::Unknown(_) => not_given_up(),
+            error => Refusal::Because(RefusalKind::Unavailable, error.to_string()),
+        })
+    })
+    .await
+}
+
+fn no_farm() -> Refusal {
+    let why = "this server shows no farm; `segwild serve --farm nats://HOST:PORT/NAME` shows one";
+    Refusal::Because(RefusalKind::Missing, why.into())
+}
+
+fn not_given_up() -> Refusal {
+    Refusal::Because(RefusalKind::Conflict, "no scene of this name was given up".into())
 }
 
 /// Gives a scene of a batch that was given up another chance.
 pub(crate) async fn retry(runs: Runs, scene: String) -> Answered<()> {
+    if runs.root().is_none() {
+        return retry_on_farm(runs, scene).await;
+    }
     apart(move || {
         let refused = |kind, why: String| Refusal::Because(kind, why);
         let failed = |e: EngineError| refused(RefusalKind::Broken, e.to_string());
-        let Ok(MonitorTarget::Batch(folder)) = MonitorTarget::at(runs.root()) else {
+        let Some(Ok(MonitorTarget::Batch(folder))) = runs.root().map(MonitorTarget::at) else {
             return Err(refused(RefusalKind::Missing, "this is no batch".into()));
         };
         let engine = EmbeddedEngine::open(folder.engine_file()).map_err(failed)?;
         let jobs = engine.jobs().map_err(failed)?;
         let dead = jobs.iter().find(|j| j.job.id == scene && j.state == JobState::Dead);
-        let dead =
-            dead.ok_or_else(|| refused(RefusalKind::Conflict, "no scene of this name was given up".into()))?;
-        engine.revive(&dead.job.id).map_err(failed)
+        engine.revive(&dead.ok_or_else(not_given_up)?.job.id).map_err(failed)
     })
     .await
 }

@@ -3,8 +3,8 @@
 //! - [`Studio`]: a run's session with its objects. Prompts are queries, answers grow, several viewers share one state.
 //! - [`document`]: the objects and the operations that made them; `studio/session.jsonl` of a run, undo and redo.
 //! - [`messages`]: what the page and the server say to each other.
-//! - [`serve`]: the page and its messages by HTTP, on the loopback address and with a token. The same port answers the calls of
-//!   `proto/segwild/v1/session.proto`.
+//! - [`serve`], [`serve_farm`]: the page and its messages by HTTP, on the loopback address and with a token. The same port answers
+//!   the calls of `proto/segwild/v1/session.proto`.
 //!
 //! It is no trainer and no segmenter: what a click means is decided by [`segwild_pipeline::Session`].
 //!
@@ -39,6 +39,7 @@
 mod calls;
 pub mod document;
 mod early;
+mod farm;
 mod fronts;
 mod grpc;
 mod guard;
@@ -56,6 +57,6 @@ mod studio;
 pub use openapi::openapi;
 pub use regions::{Combination, MOST_POINTS, Region, RegionRule};
 pub use runs::has_runs;
-pub use server::{ServeOptions, StudioServer, serve};
+pub use server::{ServeOptions, StudioServer, serve, serve_farm};
 pub use store::SelectionStore;
 pub use studio::{ANSWER_COLOUR, COLOURS, Studio, StudioError};

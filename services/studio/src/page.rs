@@ -25,6 +25,7 @@ const FILES: &[PageFile] = files! {
     "main.js": SCRIPT,
     "api.js": SCRIPT,
     "budget.js": SCRIPT,
+    "farm.js": SCRIPT,
     "geometry.js": SCRIPT,
     "objects.js": SCRIPT,
     "overlay.js": SCRIPT,
@@ -34,6 +35,7 @@ const FILES: &[PageFile] = files! {
     "splats.js": SCRIPT,
     "status.js": SCRIPT,
     "strings.js": SCRIPT,
+    "tables.js": SCRIPT,
     "training.js": SCRIPT,
 };
 

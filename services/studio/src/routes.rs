@@ -74,6 +74,8 @@ pub(crate) const API: &[ApiRoute] = &[
     row(Get, "/runs", &[], "List", Field("runs"), |m| on(m, list)),
     row(Get, "/status", &[], "Status", Message, |m| on(m, status)),
     row(Post, "/scenes/{scene}/retry", &[], "Retry", Message, |m| on(m, retry)),
+    row(Get, "/farm", &[], "Farm", Field("farm"), |m| on(m, farm)),
+    row(Post, "/farm/scenes/{scene}/retry", &[], "RetryOnFarm", Message, |m| on(m, retry_on_farm)),
     row(Get, "/runs/{run}", &[], "Describe", Message, |m| on(m, describe)),
     row(Get, "/runs/{run}/state", &[], "State", Message, |m| on(m, state)),
     row(Get, "/runs/{run}/events", &[], "Events", Events, |m| on(m, events)),
@@ -154,6 +156,15 @@ async fn status(State(runs): State<Runs>) -> Answered<Response> {
 
 async fn retry(State(runs): State<Runs>, Path(scene): Path<String>) -> Answered<Response> {
     calls::retry(runs, scene).await?;
+    Ok(Json(serde_json::json!({ "retried": true })).into_response())
+}
+
+async fn farm(State(runs): State<Runs>) -> Answered<Response> {
+    Ok(Json(calls::farm(runs).await?.as_deref()).into_response())
+}
+
+async fn retry_on_farm(State(runs): State<Runs>, Path(scene): Path<String>) -> Answered<Response> {
+    calls::retry_on_farm(runs, scene).await?;
     Ok(Json(serde_json::json!({ "retried": true })).into_response())
 }
 

@@ -1,7 +1,9 @@
-//! The runs that a server has: one, or all of a folder. Sessions are opened when somebody wants them.
+//! The runs that a server has: one, or all of a folder; none where it shows a farm alone. Sessions are opened when somebody wants
+//! them.
 
 use crate::document::JournalError;
 use crate::early::EarlyViews;
+use crate::farm::ServedFarm;
 use crate::messages::{RunEntry, TrainingMessage};
 use crate::{Studio, StudioError};
 use segwild_farm::BatchFolder;
@@ -48,7 +50,8 @@ pub(crate) enum Found {
 
 /// The runs of a server.
 pub(crate) struct ServedRuns {
-    root: PathBuf,
+    root: Option<PathBuf>,
+    farm: Option<ServedFarm>,
     /// Whether the root is a run itself.
     single: bool,
     /// Bytes that open sessions may take together; the newest is kept whatever it takes.
@@ -69,17 +72,19 @@ const CONTINUED: &str = "0.2";
 
 impl ServedRuns {
     pub fn new(
-        root: &Path,
+        root: Option<&Path>,
+        farm: Option<ServedFarm>,
         memory_budget: usize,
         program: Option<PathBuf>,
         code: Code,
         photos: Option<PathBuf>,
     ) -> ServedRuns {
-        let root = root.canonicalize().unwrap_or_else(|_| root.to_owned());
+        let root = root.map(|root| root.canonicalize().unwrap_or_else(|_| root.to_owned()));
         ServedRuns {
             // A folder that is not there yet will be a run's.
-            single: !holds_runs(&root),
+            single: root.as_deref().is_some_and(|root| !holds_runs(root)),
             root,
+            farm,
             memory_budget,
             open: Mutex::default(),
             stopper: Stopper::new(),
@@ -94,16 +99,22 @@ impl ServedRuns {
         lock(&self.open)
     }
 
-    /// The folder that operators' views are of.
-    pub fn root(&self) -> &Path {
-        &self.root
+    /// The folder that operators' views are of, if it has one.
+    pub fn root(&self) -> Option<&Path> {
+        self.root.as_deref()
+    }
+
+    /// The farm that operators see, if it shows one.
+    pub fn farm(&self) -> Option<&ServedFarm> {
+        self.farm.as_ref()
     }
 
     fn names(&self) -> Vec<String> {
+        let Some(root) = &self.root else { return Vec::new() };
         match self.single {
-            true => vec![name_of(&self.root)],
+            true => vec![name_of(root)],
             false => {
-                let mut names: Vec<String> = runs_in(&self.root).take(MOST_RUNS).collect();
+                let mut names: Vec<String> = runs_in(root).take(MOST_RUNS).collect();
                 names.sort();
                 names
             }
@@ -112,17 +123,18 @@ impl ServedRuns {
 
     /// The folder of a run. Only plain names of folders that hold one have it: a request names no path.
     fn folder(&self, name: &str) -> Option<PathBuf> {
+        let root = self.root.as_ref()?;
         if self.single {
-            return (name == name_of(&self.root)).then(|| self.root.clone());
+            return (name == name_of(root)).then(|| root.clone());
         }
-        let folder = self.root.join(name);
+        let folder = root.join(name);
         (files::name::is_plain(name) && has_ledger(&folder)).then_some(folder)
     }
 
     /// Opens the session of a server that has one run: somebody will want it.
     pub fn open_first(self: &Arc<Self>) {
-        if self.single {
-            let _ = self.find(&name_of(&self.root));
+        if let Some(root) = self.root.as_ref().filter(|_| self.single) {
+            let _ = self.find(&name_of(root));
         }
     }
 

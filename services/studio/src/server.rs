@@ -1,5 +1,6 @@
 //! The server: listens, guards, answers.
 
+use crate::farm::ServedFarm;
 use crate::grpc::session;
 use crate::guard::{Guard, guard};
 use crate::rates::RequestRates;
@@ -8,6 +9,7 @@ use crate::runs::ServedRuns;
 use axum::extract::DefaultBodyLimit;
 use axum::middleware::from_fn_with_state;
 use segwild_monitor::connections::ConnectionLimits;
+use segwild_monitor::view::FarmTarget;
 use segwild_monitor::{ServeError, Server, start};
 use segwild_pipeline::Code;
 use segwild_proto::Token;
@@ -43,6 +45,8 @@ pub struct ServeOptions {
     pub code: Code,
     /// The photos of a run that is about to start: shown until it has read them.
     pub photos: Option<PathBuf>,
+    /// A farm that operators see as well.
+    pub farm: Option<FarmTarget>,
 }
 
 impl Default for ServeOptions {
@@ -54,6 +58,7 @@ impl Default for ServeOptions {
             program: None,
             code: Code::given(&[]),
             photos: None,
+            farm: None,
         }
     }
 }
@@ -86,10 +91,23 @@ impl StudioServer {
 /// # Errors
 /// When the address cannot be listened on, or no secret can be had.
 pub fn serve(folder: &Path, options: ServeOptions) -> Result<StudioServer, ServeError> {
-    let ServeOptions { address, token, memory_budget, program, code, photos } = options;
+    started(Some(folder), options)
+}
+
+/// Serves the view of a farm, without runs of this machine, on threads of its own.
+///
+/// # Errors
+/// As [`serve`].
+pub fn serve_farm(farm: FarmTarget, options: ServeOptions) -> Result<StudioServer, ServeError> {
+    started(None, ServeOptions { farm: Some(farm), ..options })
+}
+
+fn started(folder: Option<&Path>, options: ServeOptions) -> Result<StudioServer, ServeError> {
+    let ServeOptions { address, token, memory_budget, program, code, photos, farm } = options;
     let token = token.map_or_else(Token::random, Ok).map_err(ServeError::Start)?;
     let server = start(address, CONNECTIONS, THREADS, |address| {
-        let runs = Arc::new(ServedRuns::new(folder, memory_budget, program, code, photos));
+        let farm = farm.map(ServedFarm::new);
+        let runs = Arc::new(ServedRuns::new(folder, farm, memory_budget, program, code, photos));
         runs.open_first();
         let loopback = address.ip().is_loopback();
         let guards = Guard { token: token.clone(), address, loopback, rates: RequestRates::default() };

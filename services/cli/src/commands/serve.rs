@@ -3,6 +3,7 @@
 use crate::args::{self, examples, flag, number, path_of, with_fields};
 use crate::exit;
 use crate::failure::Failure;
+use crate::farm::{connect, engine_args, shown_farm};
 use crate::output::print_line;
 use crate::progress::on_ctrl_c;
 use clap::{Arg, ArgMatches, Command, value_parser};
@@ -10,7 +11,7 @@ use segwild_flow::{Phase, Stopper};
 use segwild_monitor::ServeError;
 use segwild_pipeline::{Code, RunFolder};
 use segwild_proto::Token;
-use segwild_studio::{ServeOptions, StudioServer, has_runs, serve as serve_page};
+use segwild_studio::{ServeOptions, StudioServer, has_runs, serve as serve_page, serve_farm};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
@@ -23,10 +24,11 @@ const PORT: u16 = 7777;
 pub fn command() -> Command {
     let command =
         Command::new("serve").about("Open the page: see the photos, click an object, keep and export it");
-    with_fields(command, "vision", args::names_code)
+    let command = with_fields(command, "vision", args::names_code);
+    engine_args(command, "Show this farm to operators as well, or alone: nats://HOST:PORT/NAME")
         .arg(
             Arg::new("run")
-                .required(true)
+                .required_unless_present("farm")
                 .value_name("RUN|FOLDER")
                 .value_parser(value_parser!(PathBuf))
                 .help("Run folder, or a folder of runs"),
@@ -54,13 +56,12 @@ pub fn command() -> Command {
         .arg(flag("open", "Open the page in the browser"))
         .after_help(examples(
             "segwild serve runs/trevi --open",
-            "segwild serve runs --listen 0.0.0.0:7777 --token-file segwild.token",
+            "segwild serve --farm nats://queue:4222/night --open",
         ))
 }
 
-/// Serves the page until it is stopped.
-pub fn serve(matches: &ArgMatches) -> Result<(), Failure> {
-    let folder = path_of(matches, "run").expect("clap requires it");
+/// A folder that has something to serve.
+fn check(folder: &Path) -> Result<(), Failure> {
     if !folder.is_dir() {
         let message = format!(
             "{}: there is no such folder; `segwild run SCENE --out FOLDER` makes one",
@@ -68,16 +69,23 @@ pub fn serve(matches: &ArgMatches) -> Result<(), Failure> {
         );
         return Err(Failure { message, code: exit::FOLDER });
     }
-    if !has_runs(&folder) {
+    if !has_runs(folder) {
         let message = format!(
             "{}: there is no run in it; `segwild run SCENE --out FOLDER` makes one",
             folder.display()
         );
         return Err(Failure { message, code: exit::FOLDER });
     }
-    if RunFolder::at(&folder).ledger().is_file() {
-        RunFolder::open(&folder)?;
+    if RunFolder::at(folder).ledger().is_file() {
+        RunFolder::open(folder)?;
     }
+    Ok(())
+}
+
+/// Serves the page until it is stopped.
+pub fn serve(matches: &ArgMatches) -> Result<(), Failure> {
+    let folder = path_of(matches, "run");
+    folder.as_deref().map_or(Ok(()), check)?;
     let (stop, stopped) = mpsc::channel();
     on_ctrl_c(move |press| {
         // The sessions are on disk: nothing is lost by an end at any time.
@@ -85,7 +93,7 @@ pub fn serve(matches: &ArgMatches) -> Result<(), Failure> {
             std::process::exit(exit::INTERRUPTED.into());
         }
     })?;
-    let server = page(&folder, matches.get_one("listen").copied(), matches)?;
+    let server = page(folder.as_deref(), matches.get_one("listen").copied(), matches)?;
     print_line(&format!("the page: {}", server.address()))?;
     if matches.get_flag("open") {
         open_browser(&server.address());
@@ -114,7 +122,8 @@ pub fn page_of_run(
     }
     let code = Code::given(&args::given(matches));
     let (program, photos) = (own_program(), Some(photos.to_owned()));
-    let server = on_loopback(folder, ServeOptions { program, code, photos, ..ServeOptions::default() })?;
+    let options = ServeOptions { program, code, photos, ..ServeOptions::default() };
+    let server = on_loopback(Some(folder), options)?;
     let line = format!("the page: {}", server.address());
     // With `--json` standard output has objects only.
     if json {
@@ -143,13 +152,25 @@ pub fn stay(server: Option<StudioServer>, stopper: &Stopper) {
 }
 
 /// Serves on the usual port, or on a free one where that is taken.
-fn on_loopback(folder: &Path, options: ServeOptions) -> Result<StudioServer, ServeError> {
+fn on_loopback(folder: Option<&Path>, options: ServeOptions) -> Result<StudioServer, ServeError> {
     let at = |port| ServeOptions { address: (Ipv4Addr::LOCALHOST, port).into(), ..options.clone() };
-    serve_page(folder, at(PORT)).or_else(|_| serve_page(folder, at(0)))
+    served(folder, at(PORT)).or_else(|_| served(folder, at(0)))
+}
+
+/// Serves a folder; without one, the farm of the options alone.
+fn served(folder: Option<&Path>, options: ServeOptions) -> Result<StudioServer, ServeError> {
+    match folder {
+        Some(folder) => serve_page(folder, options),
+        None => serve_farm(options.farm.clone().expect("clap requires a run or a farm"), options),
+    }
 }
 
 /// Starts the server that the arguments describe.
-fn page(folder: &Path, listen: Option<SocketAddr>, matches: &ArgMatches) -> Result<StudioServer, Failure> {
+fn page(
+    folder: Option<&Path>,
+    listen: Option<SocketAddr>,
+    matches: &ArgMatches,
+) -> Result<StudioServer, Failure> {
     let usual = SocketAddr::from((Ipv4Addr::LOCALHOST, PORT));
     let address = listen.unwrap_or(usual);
     let token =
@@ -157,8 +178,9 @@ fn page(folder: &Path, listen: Option<SocketAddr>, matches: &ArgMatches) -> Resu
     let code = Code::given(&args::given(matches));
     let mib = *matches.get_one::<u32>("session-memory").expect("it has a default") as usize;
     let (memory_budget, program) = (mib << 20, own_program());
-    let options = ServeOptions { address, token, memory_budget, program, code, photos: None };
-    Ok(if listen.is_some() { serve_page(folder, options)? } else { on_loopback(folder, options)? })
+    let farm = connect(matches, "studio")?.map(|engine| shown_farm(&engine));
+    let options = ServeOptions { address, token, memory_budget, program, code, photos: None, farm };
+    Ok(if listen.is_some() { served(folder, options)? } else { on_loopback(folder, options)? })
 }
 
 /// The token of `--token-file`, if it is given. An address that other machines reach wants it, or `--insecure`; `insecure` says

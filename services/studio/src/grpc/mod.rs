@@ -10,6 +10,7 @@ use futures_util::stream::{self, BoxStream};
 use requests::NoSuchRequest;
 use segwild_proto::v1;
 use segwild_proto::v1::session_server::{SERVICE_NAME, Session, SessionServer};
+use std::sync::Arc;
 use tonic::{Request, Response, Status};
 
 /// Bytes of a part of a file at most.
@@ -104,6 +105,16 @@ impl Session for SessionService {
 
     async fn retry(&self, request: Request<v1::RetryRequest>) -> Reply<v1::RetryResponse> {
         calls::retry(self.runs.clone(), request.into_inner().scene).await?;
+        reply(v1::RetryResponse { retried: true })
+    }
+
+    async fn farm(&self, _: Request<v1::FarmRequest>) -> Reply<v1::FarmResponse> {
+        let farm = calls::farm(self.runs.clone()).await?.map(Arc::unwrap_or_clone);
+        reply(v1::FarmResponse { farm: farm.map(status::batch) })
+    }
+
+    async fn retry_on_farm(&self, request: Request<v1::RetryRequest>) -> Reply<v1::RetryResponse> {
+        calls::retry_on_farm(self.runs.clone(), request.into_inner().scene).await?;
         reply(v1::RetryResponse { retried: true })
     }
 

@@ -1,12 +1,12 @@
 //! The view of operators as messages of gRPC. Every field is named, so that none is forgotten.
 
-use segwild_farm::Needs;
+use segwild_farm::{FarmLogState, Needs};
 use segwild_flow::ledger::PastSample;
 use segwild_flow::{CacheCounters, WorkerState};
 use segwild_monitor::MonitorView;
 use segwild_monitor::view::{
-    ActorView, BatchView, Disk, LoggedEvent, MailboxView, PhotoFailure, RunView, SceneView, SelectionView,
-    StageView, WorkerView,
+    ActorView, BatchView, Disk, FarmSample, FarmView, FarmWorkerView, LoggedEvent, MailboxView, PhotoFailure,
+    RunView, SceneView, SelectionView, StageView, WorkerView,
 };
 use segwild_proto::v1::{self, monitor_view};
 
@@ -272,7 +272,60 @@ fn scene(scene: SceneView) -> v1::SceneView {
     }
 }
 
-fn batch(batch: BatchView) -> v1::BatchView {
+fn farm_worker(worker: FarmWorkerView) -> v1::FarmWorkerView {
+    let FarmWorkerView {
+        name,
+        held,
+        done,
+        failed,
+        returned,
+        silent,
+        seen_s,
+        whole,
+        used,
+        accelerator,
+        done_per_hour,
+    } = worker;
+    v1::FarmWorkerView {
+        name,
+        held,
+        done,
+        failed,
+        returned,
+        silent,
+        seen_s,
+        whole: whole.map(needs),
+        used: Some(needs(used)),
+        accelerator,
+        done_per_hour,
+    }
+}
+
+fn farm_sample(sample: FarmSample) -> v1::FarmSample {
+    let FarmSample { time, seconds, done, retried, dead } = sample;
+    v1::FarmSample { time, seconds, done, retried, dead }
+}
+
+fn farm_log(log: FarmLogState) -> v1::FarmLogState {
+    let FarmLogState { records, read_records, read_s, void_records } = log;
+    v1::FarmLogState { records, read_records, read_s, void_records }
+}
+
+fn farm(farm: FarmView) -> v1::FarmView {
+    let FarmView { queue, oldest_waiting_s, workers, log, done_per_hour, left_s, past } = farm;
+    v1::FarmView {
+        queue: queue.into_iter().collect(),
+        oldest_waiting_s,
+        workers: workers.into_iter().map(farm_worker).collect(),
+        log: log.map(farm_log),
+        done_per_hour,
+        left_s,
+        past: past.into_iter().map(farm_sample).collect(),
+    }
+}
+
+/// A batch or a farm.
+pub(super) fn batch(batch: BatchView) -> v1::BatchView {
     let BatchView {
         name,
         folder,
@@ -285,8 +338,7 @@ fn batch(batch: BatchView) -> v1::BatchView {
         leases_expired,
         retries,
         disk: space,
-        // The studio shows what runs on this machine: no farm.
-        farm: _,
+        farm: of_farm,
     } = batch;
     v1::BatchView {
         name,
@@ -300,5 +352,6 @@ fn batch(batch: BatchView) -> v1::BatchView {
         leases_expired,
         retries,
         disk: space.map(disk),
+        farm: of_farm.map(farm),
     }
 }

@@ -214,6 +214,9 @@ fn calls_need_the_token_and_are_refused_for_the_reasons_of_requests() {
         assert!([Code::OutOfRange, Code::ResourceExhausted].contains(&long.code()), "{long}");
         let retry = client.retry(v1::RetryRequest { scene: name.clone() }).await.unwrap_err();
         assert_eq!(retry.code(), Code::NotFound, "{retry}");
+        assert!(client.farm(v1::FarmRequest {}).await.unwrap().into_inner().farm.is_none());
+        let retry = client.retry_on_farm(v1::RetryRequest { scene: name.clone() }).await.unwrap_err();
+        assert_eq!(retry.code(), Code::NotFound, "{retry}");
     });
 }
 

@@ -1,10 +1,13 @@
 //! The server: who may ask, what it answers, what it refuses.
 
 use crate::common::run;
+use segwild_farm::{EmbeddedEngine, ErrorClass, Job, JobEngine, Needs, WorkerOffer};
+use segwild_monitor::view::FarmTarget;
 use segwild_proto::Token;
-use segwild_studio::{ServeOptions, StudioServer, serve};
+use segwild_studio::{ServeOptions, StudioServer, serve, serve_farm};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// How long anything may take before a test fails.
@@ -236,6 +239,34 @@ fn the_photos_of_a_run_that_is_about_to_start_are_shown() {
     assert!(training.contains(r#""photos":["a.jpg","b.jpg"]"#), "{training}");
     assert!(is(&get(&server, "/api/v1/runs/later/training/photos/1"), 200));
     assert!(is(&get(&server, "/api/v1/runs/later/training/photos/2"), 400));
+}
+
+#[test]
+fn a_farm_is_shown_with_and_without_a_folder() {
+    let dir = tempfile::tempdir().unwrap();
+    let engine = Arc::new(EmbeddedEngine::open(dir.path().join("jobs.sqlite")).unwrap());
+    let farm = FarmTarget { name: "nats://queue:4222/night".into(), engine: engine.clone() };
+    engine.publish(&Job::new("b/dead", "{}", Needs::default())).unwrap();
+    let lease = engine.claim(&WorkerOffer::all("w", Needs::default(), 60.0)).unwrap().unwrap();
+    engine.fail(&lease, ErrorClass::Fatal, "bad input").unwrap();
+    let alone = serve_farm(farm.clone(), ServeOptions::default()).unwrap();
+    assert!(get(&alone, "/api/v1/runs").ends_with("\r\n\r\n[]"), "{}", get(&alone, "/api/v1/runs"));
+    for path in ["/api/v1/status", "/api/v1/farm"] {
+        let answer = get(&alone, path);
+        assert!(is(&answer, 200) && answer.contains("\"state\":\"dead\""), "{path}: {answer}");
+    }
+    assert!(is(&post(&alone, "/api/v1/farm/scenes/b%2Fnone/retry", ""), 409));
+    assert!(is(&post(&alone, "/api/v1/farm/scenes/b%2Fdead/retry", ""), 200));
+    assert!(get(&alone, "/api/v1/farm").contains("\"state\":\"waiting\""));
+    assert!(is(&post(&alone, "/api/v1/scenes/b%2Fdead/retry", ""), 409), "it waits");
+    // Beside a folder the status is the folder's, and a server without a farm shows none.
+    let later = dir.path().join("later");
+    let both = serve(&later, ServeOptions { farm: Some(farm), ..ServeOptions::default() }).unwrap();
+    assert!(is(&get(&both, "/api/v1/status"), 503) && is(&get(&both, "/api/v1/farm"), 200));
+    let none = serve(&later, ServeOptions::default()).unwrap();
+    assert!(get(&none, "/api/v1/farm").ends_with("\r\n\r\nnull"), "{}", get(&none, "/api/v1/farm"));
+    let refused = post(&none, "/api/v1/farm/scenes/a/retry", "");
+    assert!(is(&refused, 404) && refused.contains("--farm nats://HOST:PORT/NAME"), "{refused}");
 }
 
 #[test]

@@ -1,7 +1,9 @@
 //! The OpenAPI document: its messages are those that the server reads and writes, field by field.
 
 use crate::common::{answered, click, keep, open, run, trained};
-use segwild_monitor::MonitorTarget;
+use segwild_farm::{EmbeddedEngine, FarmLogState, Job, JobEngine, Needs, WorkerOffer};
+use segwild_monitor::view::FarmTarget;
+use segwild_monitor::{MonitorTarget, MonitorView};
 use segwild_studio::messages::{
     FrameRequest, HoverRequest, PickRequest, RunEntry, StudioAction, TrainingMessage, ViewMessage,
 };
@@ -9,6 +11,7 @@ use segwild_studio::openapi;
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 /// The schema itself, or the one that it refers to.
 fn resolved<'a>(page: &'a Value, schema: &'a Value) -> &'a Value {
@@ -130,6 +133,27 @@ fn what_is_answered_is_what_the_document_describes() {
         &TrainingMessage { photos: vec!["a".into()], history, snapshot: Some(3) },
     );
     check(&page, "MonitorView", &MonitorTarget::at(folder.path()).unwrap().view().unwrap());
+}
+
+#[test]
+fn a_farm_is_answered_as_the_document_describes_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let engine = Arc::new(EmbeddedEngine::open(dir.path().join("jobs.sqlite")).unwrap());
+    let farm = FarmTarget { name: "farm".into(), engine: engine.clone() };
+    for name in ["b/done", "b/held", "b/waits"] {
+        engine.publish(&Job::new(name, "{}", Needs { cores: 1, ..Needs::default() })).unwrap();
+    }
+    let offer = WorkerOffer::all("w", Needs { cores: 1, ..Needs::default() }, 60.0);
+    engine.announce(&WorkerOffer { accelerator: Some("h100".into()), ..offer.clone() }).unwrap();
+    engine.complete(&engine.claim(&offer).unwrap().unwrap(), "done").unwrap();
+    engine.claim(&offer).unwrap().unwrap();
+    let mut view = farm.view().unwrap();
+    let own = view.farm.as_mut().unwrap();
+    assert!(own.workers[0].whole.is_some() && own.left_s.is_some() && !own.past.is_empty());
+    own.log = Some(FarmLogState::default());
+    let page = openapi();
+    check(&page, "BatchView", &view);
+    check(&page, "MonitorView", &MonitorView::Batch(Box::new(view)));
 }
 
 #[test]
