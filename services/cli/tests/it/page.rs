@@ -1,9 +1,12 @@
 //! `segwild serve`: its command line, and the page in a real browser.
 
 use crate::common::*;
+use crate::farm::nats_server::NatsServer;
+use segwild_farm::{ErrorClass, FarmAccess, Job, JobEngine, NatsEngine, Needs, WorkerOffer};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::time::Duration;
 
 /// The tests of the page, in JavaScript.
 fn browser_tests() -> PathBuf {
@@ -29,6 +32,27 @@ fn browser_starts() -> bool {
     Command::new("timeout").args(empty).output().is_ok_and(|output| output.status.success())
 }
 
+/// A farm with a machine that holds one scene, has done one and given one up; a fourth is too large for it.
+fn small_farm(server: &NatsServer) -> String {
+    let farm = server.farm("night");
+    let (at, access) = (farm.parse().expect("an address"), FarmAccess::default());
+    let engine = NatsEngine::connect(&at, &access, "test", Duration::from_secs(20)).expect("a farm");
+    let needs = Needs { cores: 1, memory_bytes: 1 << 30, accelerators: 0 };
+    for (name, cores) in [("dead", 1), ("done", 1), ("held", 1), ("huge", 64)] {
+        let job = Job::new(format!("night/{name}"), "{}", Needs { cores, ..needs });
+        engine.publish(&job).expect("it is handed in");
+    }
+    let whole = Needs { cores: 8, memory_bytes: 4 << 30, accelerators: 1 };
+    let offer = WorkerOffer::all("machine-1", whole, 600.0);
+    let offer = WorkerOffer { accelerator: Some("h100".into()), ..offer };
+    engine.announce(&offer).expect("it answers");
+    let claim = || engine.claim(&offer).expect("it answers").expect("a lease");
+    engine.fail(&claim(), ErrorClass::Fatal, "bad input").expect("it is held");
+    engine.complete(&claim(), "{}").expect("it is held");
+    claim();
+    farm
+}
+
 #[test]
 fn the_page_does_what_a_person_wants_in_a_real_browser() {
     let tests = browser_tests();
@@ -42,11 +66,13 @@ fn the_page_does_what_a_person_wants_in_a_real_browser() {
         return;
     }
     let dir = folder();
+    let queue = NatsServer::start(&dir.path().join("queue"));
     let output = Command::new("node")
         .args(["--test", "--test-concurrency=1", "."])
         .current_dir(&tests)
         .env("SEGWILD", env!("CARGO_BIN_EXE_segwild"))
         .env("SEGWILD_RUN", copied_run(&dir))
+        .env("SEGWILD_FARM", queue.as_ref().map(small_farm).unwrap_or_default())
         .output()
         .expect("node starts");
     assert!(output.status.success(), "{}\n{}", text(&output.stdout), text(&output.stderr));

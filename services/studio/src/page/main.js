@@ -18,6 +18,8 @@ import { TrainingPane } from "./training.js";
 const of = (/** @type {string} */ id) => /** @type {HTMLElement} */ (document.getElementById(id));
 /** Tools that mark splats by hand. */
 const TOOLS = ["prompt", "rectangle", "lasso", "brush", "sphere"];
+/** What keys do where there is no run. */
+const WITHOUT_RUN = ["theme", "help"];
 /** Milliseconds between two tries of a scene that is not there yet. */
 const AGAIN = 150;
 /** Milliseconds between two questions how far a training is. */
@@ -76,9 +78,15 @@ export class App {
     choice.addEventListener("change", () => this.open(choice.value));
     const wanted = decodeURIComponent(location.hash.slice(1));
     const name = runs.some((/** @type {any} */ run) => run.name === wanted) ? wanted : runs[0]?.name;
-    if (!name) return this.say(text("no_status"), true);
+    if (!name) return this.showOperators();
     choice.value = name;
     await this.open(name);
+  }
+
+  /** Shows what operators see, where there is no run to show. */
+  showOperators() {
+    document.body.dataset.runs = "none";
+    this.setView("status");
   }
 
   /** Opens a run; waits for one that is still trained or loaded. @param {string} name */
@@ -88,6 +96,7 @@ export class App {
     const same = this.run.name === name && this.description ? this.photo : null;
     this.state = null;
     this.run = new Run(name);
+    delete document.body.dataset.runs;
     location.hash = encodeURIComponent(name);
     const { run } = this;
     let early = false;
@@ -410,7 +419,7 @@ export class App {
       if (/** @type {HTMLDialogElement} */ (of("sheet-of-keys")).open) return;
       const where = target instanceof HTMLElement && target.closest("#stage, #space");
       const act = actionOf(event, where ? where.id : "");
-      if (!act) return;
+      if (!act || !this.run.name && !WITHOUT_RUN.includes(act)) return;
       event.preventDefault();
       this.do(act);
     });
@@ -446,7 +455,7 @@ export class App {
       redo: () => state?.redo && this.act({ do: "redo" }),
       next_photo: () => this.openPhoto(this.strip.neighbour(1)),
       previous_photo: () => this.openPhoto(this.strip.neighbour(-1)),
-      view_photo: () => this.setView("photo"), view_both: () => this.setView("both"), view_scene: () => this.setView("scene"),
+      view_photo: () => this.setView("photo"), view_both: () => this.setView("both"), view_scene: () => this.setView("scene"), view_status: () => this.setView("status"),
       rule_visible: () => this.nextRule("visible"), rule_footprint: () => this.nextRule("footprint"),
       part: () => this.changeLevel(-1), whole: () => this.changeLevel(1),
       isolate: () => this.act({ do: "isolate", id: state?.isolated === null ? this.item : null }),

@@ -13,6 +13,7 @@ export const shortcuts = [
   { act: "view_photo", keys: ["F1", "KeyP"], does: "Photo alone" },
   { act: "view_both", keys: ["KeyB"], does: "Photo and 3D" },
   { act: "view_scene", keys: ["KeyT"], does: "3D alone" },
+  { act: "view_status", keys: ["KeyO"], does: "Progress of the run, the batch and the farm" },
   { act: "tool_prompt", keys: ["Digit1"], does: "Tool: click" },
   { act: "tool_rectangle", keys: ["Digit2"], does: "Tool: rectangle" },
   { act: "tool_lasso", keys: ["Digit3"], does: "Tool: lasso" },

@@ -1,8 +1,10 @@
-// Progress of a run or a batch, as operators see it: the same view as `segwild top` and `segwild status --json`.
+// Progress of a run, a batch or a farm, as operators see it: the same view as `segwild top` and `segwild status --json`.
 
-import { getJson, send } from "./api.js";
+import { Refused, getJson, send } from "./api.js";
+import { farm } from "./farm.js";
 import { element } from "./objects.js";
 import { text } from "./strings.js";
+import { bar, duration, mib, reason, table } from "./tables.js";
 
 /** @typedef {import("./main.js").App} App */
 
@@ -11,16 +13,14 @@ const AGAIN = 2000;
 
 const pane = /** @type {HTMLElement} */ (document.getElementById("status"));
 
-/** @param {number | null | undefined} seconds */
-const duration = seconds => seconds == null ? "" : seconds < 90 ? `${seconds.toFixed(1)} s` : `${(seconds / 60).toFixed(1)} min`;
-/** @param {number | null | undefined} bytes */
-const mib = bytes => bytes == null ? "" : `${Math.round(bytes / 2 ** 20)} MiB`;
+/** What a button is called. @param {Element} button */
+const called = button => button.getAttribute("aria-label") ?? button.textContent;
 
-/** A table. @param {string[]} heads @param {(Node | string)[][]} rows */
-function table(heads, rows) {
-  const head = heads.map(name => element("th", { scope: "col" }, text(name)));
-  const body = rows.map(([first, ...rest]) => element("tr", {}, element("th", { scope: "row" }, first), ...rest.map(cell => element("td", {}, cell))));
-  return element("table", {}, element("thead", {}, element("tr", {}, ...head)), element("tbody", {}, ...body));
+/** Shows parts in the stead of others; the button that has the focus keeps it. @param {Node[]} parts */
+function replace(parts) {
+  const held = pane.contains(document.activeElement) && document.activeElement?.matches("button") ? called(document.activeElement) : null;
+  pane.replaceChildren(...parts);
+  if (held !== null) [...pane.querySelectorAll("button")].find(button => called(button) === held)?.focus({ preventScroll: true });
 }
 
 /** The progress pane. */
@@ -33,12 +33,24 @@ export class StatusPane {
   /** Shows the view, and goes on as long as the pane is open. */
   async show() {
     clearTimeout(this.timer);
-    const view = await getJson("/api/v1/status").catch(error => ({ kind: "", error: error.message }));
+    const read = async (/** @type {string} */ name) => getJson(`/api/v1/${name}`).catch(error => {
+      if (error instanceof Refused) return { kind: "", error: error.message };
+      throw error;
+    });
+    const seen = await Promise.all([read("status"), read("farm")]).catch(error => this.app.failed(error));
     if (this.app.view !== "status") return;
-    const parts = { run: () => this.run(view), batch: () => this.batch(view) };
-    const made = parts[/** @type {keyof typeof parts} */ (view.kind)]?.() ?? [element("p", {}, text("no_status"))];
-    pane.replaceChildren(...made);
+    if (seen) replace(this.parts(seen[0], seen[1]));
+    clearTimeout(this.timer);
     this.timer = setTimeout(() => this.show(), AGAIN);
+  }
+
+  /** What is shown of a run or a batch, and of a farm. @param {any} view @param {any} of @returns {Node[]} */
+  parts(view, of) {
+    const kinds = { run: () => this.run(view), batch: () => this.batch(view), "": () => [element("p", {}, text("no_status"))] };
+    // Without a folder the status is the farm's.
+    const own = of && (view.farm || !view.kind) ? [] : kinds[/** @type {keyof typeof kinds} */ (view.kind)]();
+    if (!of) return own;
+    return [...own, ...of.error ? [element("p", {}, text("farm_silence", of.error))] : farm(of, scene => this.retry(scene, "farm/"))];
   }
 
   /** @param {any} run */
@@ -46,7 +58,7 @@ export class StatusPane {
     const psnr = run.numbers["geometry.psnr_db"];
     const facts = [run.state, psnr == null ? "" : `${psnr.toFixed(1)} dB`, run.left_s == null ? "" : text("status_left", duration(run.left_s)), mib(run.rss_bytes), run.still_s > 5 ? text("status_still", duration(run.still_s)) : ""];
     const stages = run.stages.map((/** @type {any} */ s) => [
-      s.name, s.state, this.bar(s.name, s.total ? s.done / s.total : Number(s.state === "done"), s.total ? `${s.done}/${s.total}` : ""),
+      s.name, s.state, bar(s.name, s.total ? s.done / s.total : Number(s.state === "done"), s.total ? `${s.done}/${s.total}` : ""),
       s.rate > 0 ? `${s.rate.toFixed(1)}/s` : "", duration(s.eta_s ?? (s.state === "done" ? s.wall_s : null)), s.error ?? s.why ?? "",
     ]);
     const workers = run.actors.flatMap((/** @type {any} */ a) => [[
@@ -66,24 +78,17 @@ export class StatusPane {
   batch(batch) {
     const rows = batch.scenes.map((/** @type {any} */ s) => {
       const share = s.run ? s.run.stages.reduce((/** @type {number} */ sum, /** @type {any} */ t) => sum + (t.state === "done" ? 1 : t.total ? t.done / t.total : 0), 0) / s.run.stages.length : 0;
-      const retry = () => this.retry(s.name);
-      const error = s.state === "dead" ? element("span", {}, `${s.error ?? ""} `, element("button", { type: "button", click: retry, "aria-label": text("retry_of", s.name) }, text("retry"))) : s.error ?? s.why ?? "";
       const open = element("button", { type: "button", click: () => this.app.open(s.name), disabled: !s.run }, s.name);
-      return [open, s.state, this.bar(s.name, s.state === "done" ? 1 : share, ""), `${s.failures}/${s.attempts}`, mib(s.run?.rss_bytes), duration(s.wall_s), error];
+      return [open, s.state, bar(s.name, s.state === "done" ? 1 : share, ""), `${s.failures}/${s.attempts}`, mib(s.run?.rss_bytes), duration(s.wall_s), reason(s, scene => this.retry(scene, ""))];
     });
     const used = text("status_used", batch.used.cores, batch.budget.cores, mib(batch.used.memory_bytes), mib(batch.budget.memory_bytes));
     return [element("h2", {}, `${batch.name}: ${used}`), table(["status_scene", "status_state", "status_done", "status_failures", "status_memory", "status_time", "status_waits"], rows)];
   }
 
-  /** @param {string} name @param {number} share @param {string} words */
-  bar(name, share, words) {
-    return element("span", {}, element("progress", { max: 1, value: share, "aria-label": name }), ` ${words}`);
-  }
-
-  /** Gives a scene that was given up another chance. @param {string} scene */
-  async retry(scene) {
-    const retried = send(`/api/v1/scenes/${encodeURIComponent(scene)}/retry`, { method: "POST" });
-    await retried.then(() => this.app.say(text("retried", scene)), error => this.app.failed(error));
+  /** Gives a scene that was given up another chance. @param {string} scene @param {"" | "farm/"} where */
+  async retry(scene, where) {
+    const retried = send(`/api/v1/${where}scenes/${encodeURIComponent(scene)}/retry`, { method: "POST" });
+    await retried.then(() => this.app.say(text(where ? "farm_retried" : "retried", scene)), error => this.app.failed(error));
     this.show();
   }
 }

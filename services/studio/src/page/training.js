@@ -2,12 +2,11 @@
 
 import { element } from "./objects.js";
 import { text } from "./strings.js";
+import { HEIGHT, WIDTH, plot } from "./tables.js";
 
 /** @typedef {import("./main.js").App} App */
 /** @typedef {import("./api.js").Moment} Moment */
 
-/** Sides of a curve, in its own units. */
-const [WIDTH, HEIGHT] = [240, 80];
 /** Long side of the photos in pixels. */
 const SIDE = 320;
 
@@ -21,14 +20,8 @@ function curve(moments, name, words) {
     const x = (moment.step - first.step) / (last.step - first.step || 1) * WIDTH;
     return `${x.toFixed(1)} ${((1 - (moment[name] - low) / (high - low || 1)) * HEIGHT).toFixed(1)}`;
   };
-  const [svg, line] = ["svg", "path"].map(tag => document.createElementNS("http://www.w3.org/2000/svg", tag));
-  svg.setAttribute("viewBox", `0 -2 ${WIDTH} ${HEIGHT + 4}`);
-  svg.setAttribute("preserveAspectRatio", "none");
-  svg.setAttribute("role", "img");
-  svg.setAttribute("aria-label", text("curve_of", text(`curve_${name}`), words(values[0]), words(values[values.length - 1]), first.step, last.step));
-  line.setAttribute("d", `M${known.map(at).join("L")}`);
-  svg.append(line);
-  return element("figure", {}, element("figcaption", {}, `${text(`curve_${name}`)}: ${words(values[values.length - 1])}`), svg);
+  const label = text("curve_of", text(`curve_${name}`), words(values[0]), words(values[values.length - 1]), first.step, last.step);
+  return plot(label, `${text(`curve_${name}`)}: ${words(values[values.length - 1])}`, `M${known.map(at).join("L")}`);
 }
 
 /** The curves of a training; none where it has just started. @param {Moment[]} moments */

@@ -4,8 +4,8 @@ import { spawn } from "node:child_process";
 import { existsSync } from "node:fs";
 import { chromium } from "playwright-core";
 
-/** The program and a trained run, named by whoever starts the tests. */
-export const { SEGWILD: program = "", SEGWILD_RUN: run = "" } = process.env;
+/** The program, a trained run and a farm (empty where there is no queue), named by whoever starts the tests. */
+export const { SEGWILD: program = "", SEGWILD_RUN: run = "", SEGWILD_FARM: farm = "" } = process.env;
 /** Debian's browser, unless another is named. */
 const executablePath = process.env.CHROMIUM ?? "/usr/bin/chromium";
 /** Software WebGL: there is no GPU in CI. */
@@ -13,10 +13,10 @@ const args = ["--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshade
 /** Milliseconds after which something never comes. */
 const LONGEST = 60_000;
 
-/** A server of a run; it listens at `address`. @param {string[]} [more] @param {string} [folder] */
+/** A server of a run, or of none; it listens at `address`. @param {string[]} [more] @param {string} [folder] */
 export async function serve(more = [], folder = run) {
   if (!existsSync(program)) throw new Error(`SEGWILD=${program}: there is no such program`);
-  const child = spawn(program, ["serve", folder, "--listen", "127.0.0.1:0", ...more], { stdio: ["ignore", "pipe", "inherit"] });
+  const child = spawn(program, ["serve", ...folder ? [folder] : [], "--listen", "127.0.0.1:0", ...more], { stdio: ["ignore", "pipe", "inherit"] });
   const address = await new Promise((found, failed) => {
     let text = "";
     child.stdout.on("data", bytes => {

@@ -6,7 +6,7 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { FRAME, LEAST_SPLATS, MOST_SPLATS, SplatBudget } from "../../src/page/budget.js";
-import { answered, browser, middle, open, run, serve, state, until } from "./driver.mjs";
+import { answered, browser, farm, middle, open, run, serve, state, until } from "./driver.mjs";
 import { compare } from "./golden.mjs";
 
 /** @typedef {any} Page */
@@ -545,6 +545,43 @@ test("a screen reader finds its way in every view, dark and light, wide and narr
     }
     await page.evaluate(() => /** @type {any} */ (document.getElementById("sheet-of-keys")).close());
     await clear(page);
+  }
+});
+
+test("operators see the machines and the scenes of a farm, and retry one that was given up", async t => {
+  if (!farm) return t.skip("nats-server is not installed");
+  const shown = await serve(["--farm", farm], "");
+  t.after(() => shown.child.kill("SIGKILL"));
+  for (const options of [{ viewport: { width: 390, height: 780 } }, { colorScheme: /** @type {const} */ ("dark") }, {}]) {
+    const context = await chromium.newContext(options), page = await context.newPage();
+    /** @type {string[]} */
+    const errors = [];
+    page.on("console", message => message.type() === "error" && errors.push(message.text()));
+    page.on("pageerror", error => errors.push(String(error)));
+    await page.goto(shown.address);
+    await until(page, () => document.querySelectorAll("#status table").length === 2);
+    await page.evaluate(axe);
+    const found = await page.evaluate(() => /** @type {any} */ (window).axe.run());
+    assert.deepEqual(found.violations.map((/** @type {any} */ v) => `${v.id}: ${v.nodes.map((/** @type {any} */ n) => n.target).join(" ")}`), []);
+    assert.ok(await page.evaluate(() => document.documentElement.scrollWidth <= innerWidth), "the page is not wider than the screen");
+    const row = async (/** @type {string} */ name) => await page.locator("#status tbody tr").filter({ has: page.locator("th", { hasText: name }) }).textContent() ?? "";
+    assert.match(await row("machine-1"), /1 of 8.*1024 MiB of 4096 MiB.*h100/);
+    assert.match(await row("night/held"), /running.*machine-1/);
+    assert.match(await row("night/huge"), /waiting.*64 cores.*of 1 worker none has that/);
+    assert.match(await row("night/dead"), /dead.*bad input/);
+    assert.ok(await page.locator("#status svg path").count() === 1 && !await page.locator("#side").isVisible());
+    if (!("viewport" in options || "colorScheme" in options)) {
+      // The keyboard reaches the button, and keeps it while the view is renewed.
+      const retry = page.locator("button[aria-label='Retry night/dead']");
+      await retry.focus();
+      await page.evaluate(() => /** @type {any} */ (window).segwild.statusPane.show());
+      assert.equal(await page.evaluate(() => document.activeElement?.ariaLabel), "Retry night/dead");
+      await page.keyboard.press("Enter");
+      await until(page, () => !document.querySelector("#status button"));
+      assert.match(await row("night/dead"), /waiting/);
+    }
+    await context.close();
+    assert.deepEqual(errors, []);
   }
 });
 
