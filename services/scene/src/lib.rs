@@ -76,6 +76,7 @@ mod transforms;
 mod transforms_json;
 mod unposed;
 mod view;
+pub mod view_selection;
 mod whole;
 mod window;
 

@@ -93,7 +93,7 @@ pub struct SegmentActor {
     pub tree: Option<Arc<SceneTree>>,
     /// The neighbour graph, made at the first task.
     pub graph: Option<NeighbourGraph>,
-    /// Which splats each view shows, from the first task on; `None` where that takes too much memory.
+    /// Which splats each view shows, as far as tasks needed it; `None` where that takes too much memory.
     pub shown: Option<ViewSplats>,
 }
 
@@ -248,8 +248,7 @@ struct PhotoRefiner<'a> {
 
 impl PhotoRefiner<'_> {
     fn read(&self, view: usize) -> Option<Image> {
-        let barred = self.actor.barred.get(view).copied().unwrap_or(true);
-        if barred { None } else { (self.actor.photos)(view).ok() }
+        if self.answers(view) { (self.actor.photos)(view).ok() } else { None }
     }
 
     fn prepared(&self) -> MutexGuard<'_, HashMap<usize, Image>> {
@@ -265,6 +264,10 @@ impl Refiner for PhotoRefiner<'_> {
         let wide = certainty.resized(photo.width, photo.height);
         let refined = self.actor.segmenter.refine(&photo, &wide).ok()?;
         Some((refined.mask, refined.predicted_iou.clamp(0.0, 1.0)))
+    }
+
+    fn answers(&self, view: usize) -> bool {
+        !self.actor.barred.get(view).copied().unwrap_or(true)
     }
 
     fn prepare(&self, view: usize) {

@@ -35,6 +35,7 @@ mod maxflow;
 mod multi_view_cut;
 mod object;
 mod occlusion;
+mod open_views;
 mod photo_agreement;
 mod photo_evidence;
 mod propagate;

@@ -1,8 +1,9 @@
 //! Carrying a selection from the prompted photos to all others and back: each photo's own boundaries correct
 //! the rendered prior, and its evidence decides splats that no prompted photo sees.
 
-use crate::coverage::{clean, soft, visible};
+use crate::coverage::{clean, soft};
 use crate::label_fusion::{FusionState, LEAST_HINT, LabelFusion, SPREAD_STEPS, sure};
+use crate::open_views::OpenViews;
 use crate::photo_evidence::view_evidence;
 use crate::request::{project, working_camera};
 use crate::spread::Belief;
@@ -14,12 +15,8 @@ use rayon::prelude::*;
 use rayon::{Scope, Yield};
 use segwild_raster::{Channels, Projected};
 use segwild_scene::{Camera, Image, Mask};
-use std::borrow::Cow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-
-/// Long side in pixels at which the views are compared to find a good order.
-const ORDER_SIZE: u32 = 128;
 
 /// Steps of label spreading after each photo of the first round (method, section 6.3); earlier ones are kept. IoU by half, half
 /// more: +.001, +.001 on `sacre_coeur`; 0, 0 on the demo.
@@ -170,24 +167,25 @@ fn first_round<'s>(
     publish: &Publish,
     scope: &Scope<'s>,
 ) -> Result<(FusionState, Vec<PhotoVisit>), SegmentError> {
-    let mut open: Vec<(usize, Cow<SplatSet>)> = Vec::new();
-    for index in
-        (0..request.views.len()).filter(|v| request.prompts.iter().all(|p| p.refused || p.view != *v))
-    {
-        open.push((index, shown_in(request, index)?));
-    }
-    let mut visits = Vec::new();
+    let mut open = OpenViews::of(request, fusion, &state, refiner)?;
+    let mut visits: Vec<PhotoVisit> = Vec::new();
     // Photos that are being prepared, or are prepared and were not visited yet; and whether they are.
     let mut ahead: Vec<(usize, Arc<AtomicBool>)> = Vec::new();
-    while visits.len() < request.settings.propagate_views {
+    while visits.len() < open.most() {
         request.wanted()?;
-        let order = most_known(fusion, &state, &open);
+        let mut order = most_known(fusion, &state, open.views());
+        if open.is_due(visits.len(), order.is_empty()) {
+            let visited: Vec<usize> = visits.iter().map(|visit| visit.view).collect();
+            open.select(fusion, &state, &visited)?;
+            ahead.retain(|(view, _)| open.contains(*view));
+            order = most_known(fusion, &state, open.views());
+        }
         let Some((&next, likely)) = order.split_first() else {
             // No open view shows a decided part of the object.
             break;
         };
         if rayon::current_num_threads() > 1 {
-            for &view in likely.iter().take(request.settings.propagate_views - visits.len() - 1) {
+            for &view in likely.iter().take(open.most() - visits.len() - 1) {
                 if ahead.len() < AHEAD && ahead.iter().all(|(other, _)| *other != view) {
                     let done = Arc::new(AtomicBool::new(false));
                     ahead.push((view, done.clone()));
@@ -198,7 +196,7 @@ fn first_round<'s>(
                 }
             }
         }
-        open.retain(|(view, _)| *view != next);
+        open.take(next);
         if let Some(at) = ahead.iter().position(|(view, _)| *view == next) {
             // While another thread prepares this photo, this thread prepares the next ones.
             let (_, done) = ahead.swap_remove(at);
@@ -218,25 +216,9 @@ fn first_round<'s>(
     Ok((state, visits))
 }
 
-/// The splats that a view shows: those at hand, or computed.
-fn shown_in<'a>(request: &Request<'a>, index: usize) -> Result<Cow<'a, SplatSet>, SegmentError> {
-    let compute = || {
-        let view = &request.views[index];
-        let camera = view.camera.scaled_to(ORDER_SIZE);
-        let projected = project(request, view, &camera)?;
-        let shown =
-            visible(&*projected, (camera.width, camera.height)).map_err(SegmentError::raster(&view.name))?;
-        Ok(SplatSet::new(shown.into_iter()))
-    };
-    match request.shown.filter(|shown| shown.fits(request.splats.len(), request.views.len())) {
-        Some(shown) => shown.of(index, compute).map(Cow::Borrowed),
-        None => compute().map(Cow::Owned),
-    }
-}
-
 /// The open views that show a decided part of the object, those first of which the largest share of what could be the
 /// object is decided.
-fn most_known(fusion: &LabelFusion, state: &FusionState, open: &[(usize, Cow<SplatSet>)]) -> Vec<usize> {
+fn most_known(fusion: &LabelFusion, state: &FusionState, open: &[(usize, Arc<SplatSet>)]) -> Vec<usize> {
     let n = state.probability.len();
     let SegmentSettings { rho, gamma, least_evidence, .. } = *fusion.settings;
     let label = |i: usize| state.evidence.label(i, rho, gamma, least_evidence);

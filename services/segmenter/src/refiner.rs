@@ -8,6 +8,10 @@ pub trait Refiner: Sync {
     /// object (one plane in [0, 1]; about 0.5 where nothing is known). Returns a mask of any size and how far it is trusted,
     /// in [0, 1]; `None` when there is no answer.
     fn refine(&self, view: usize, certainty: &Image) -> Option<(Mask, f32)>;
+    /// Whether the photo of a view can be refined at all: one that cannot is not selected where a scene has many.
+    fn answers(&self, _view: usize) -> bool {
+        true
+    }
     /// Called on another thread when a view is likely to be refined soon, so that work can be done ahead. No answer
     /// may depend on it.
     fn prepare(&self, _view: usize) {}

@@ -148,7 +148,7 @@ segwild_scene::settings! {
         graph_cut: bool = false,
         /// Rounds in which other photos refine the selection. 0 uses the prompted photos only.
         propagate: u32 = 2 => 0..=16,
-        /// Photos that a round visits at most.
+        /// Photos that a round visits at most. Where more than 64 could be visited, it visits at most 64, those that add most.
         propagate_views: usize = 80,
         /// Least agreement (IoU) between a photo's refined mask and what is already known, for the mask to count.
         propagate_gate: f32 = 0.6 => 0.0..=1.0,

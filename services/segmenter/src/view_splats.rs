@@ -1,8 +1,10 @@
-//! Which splats each view shows. It depends on the scene alone, so that the first click computes it for all that follow.
+//! Which splats each view shows. It depends on the scene alone, so that the first clicks compute it for all that follow.
 
-use std::sync::OnceLock;
+use segwild_flow::lock;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex};
 
-/// Memory for what the views show, at most: a bit per splat and view. Where a scene takes more, each click computes it.
+/// Memory for what the views show, at most: a bit per splat and view. What does not fit is computed by each click that needs it.
 const MAX_BYTES: usize = 64 << 20;
 
 /// One bit per splat.
@@ -18,29 +20,35 @@ impl SplatSet {
         SplatSet(words)
     }
 
+    pub fn contains(&self, splat: usize) -> bool {
+        self.0.get(splat / 64).is_some_and(|word| word >> (splat % 64) & 1 == 1)
+    }
+
     pub fn overlap(&self, other: &SplatSet) -> u32 {
         self.0.iter().zip(&other.0).map(|(a, b)| (a & b).count_ones()).sum()
     }
 }
 
-/// The splats that the views of a scene show, as far as they were needed.
+/// The splats that the views of a scene show, as far as they were needed and fit into memory.
 #[derive(Debug)]
 pub struct ViewSplats {
     splats: usize,
-    views: Vec<OnceLock<SplatSet>>,
+    views: usize,
+    /// Views whose splats fit into memory.
+    most: usize,
+    known: Mutex<HashMap<usize, Arc<SplatSet>>>,
 }
 
 impl ViewSplats {
-    /// Nothing yet of so many splats and views; `None` where they would take too much memory.
+    /// Nothing yet of so many splats and views; `None` where the splats of one view take too much memory.
     pub fn new(splats: usize, views: usize) -> Option<ViewSplats> {
-        let bytes = splats.div_ceil(8).saturating_mul(views);
-        (bytes <= MAX_BYTES)
-            .then(|| ViewSplats { splats, views: (0..views).map(|_| OnceLock::new()).collect() })
+        let most = MAX_BYTES / splats.div_ceil(8).max(1);
+        (most > 0).then(|| ViewSplats { splats, views, most, known: Mutex::default() })
     }
 
     /// Whether it is of a scene with so many splats and views.
     pub(crate) fn fits(&self, splats: usize, views: usize) -> bool {
-        self.splats == splats && self.views.len() == views
+        self.splats == splats && self.views == views
     }
 
     /// The splats that a view shows, computed where they are not known yet.
@@ -48,13 +56,16 @@ impl ViewSplats {
         &self,
         view: usize,
         compute: impl FnOnce() -> Result<SplatSet, E>,
-    ) -> Result<&SplatSet, E> {
-        let known = &self.views[view];
-        if let Some(known) = known.get() {
-            return Ok(known);
+    ) -> Result<Arc<SplatSet>, E> {
+        if let Some(known) = lock(&self.known).get(&view) {
+            return Ok(known.clone());
         }
-        let computed = compute()?;
-        Ok(known.get_or_init(|| computed))
+        let computed = Arc::new(compute()?);
+        let mut known = lock(&self.known);
+        if known.len() < self.most {
+            known.insert(view, computed.clone());
+        }
+        Ok(computed)
     }
 }
 
@@ -63,9 +74,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_scene_that_would_take_too_much_memory_keeps_nothing() {
-        assert!(ViewSplats::new(20_000, 60).is_some());
-        assert!(ViewSplats::new(2_000_000, 1000).is_none());
+    fn what_does_not_fit_into_memory_is_computed_again() {
+        let computed = |scene: &ViewSplats, view: usize| {
+            let mut calls = 0;
+            for _ in 0..2 {
+                let set = scene.of(view, || {
+                    calls += 1;
+                    Ok::<_, ()>(SplatSet::new((0..100).map(|i| i == view)))
+                });
+                assert!(set.is_ok_and(|set| set.contains(view) && !set.contains(view + 1)));
+            }
+            calls
+        };
+        let small = ViewSplats::new(20_000, 60).unwrap();
+        assert!((0..60).all(|view| computed(&small, view) == 1));
+        let large = ViewSplats::new(200_000_000, 1000).unwrap();
+        let calls: Vec<usize> = (0..4).map(|view| computed(&large, view)).collect();
+        assert_eq!(calls, [1, 1, 2, 2]);
         assert!(ViewSplats::new(usize::MAX, usize::MAX).is_none());
     }
 
@@ -73,5 +98,7 @@ mod tests {
     fn sets_overlap_by_what_both_hold() {
         let of = |divisor: usize| SplatSet::new((0..200).map(move |i| i % divisor == 0));
         assert_eq!((of(2).overlap(&of(3)), of(7).overlap(&of(7))), (34, 29));
+        let seventh: Vec<usize> = (0..400).filter(|&i| of(7).contains(i)).collect();
+        assert!(seventh.into_iter().eq((0..200).step_by(7)));
     }
 }

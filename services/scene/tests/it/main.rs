@@ -9,3 +9,4 @@ mod photo_store;
 mod photos;
 mod shapes;
 mod shared_data;
+mod view_selection;

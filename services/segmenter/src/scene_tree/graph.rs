@@ -55,8 +55,8 @@ pub const CUES: usize = 3;
 const CUE_WEIGHTS: [[f32; 2]; CUES] = [[0.6, 0.6], [1.0, 0.0], [0.0, 1.0]];
 
 /// Views that see a splat from which on it needs no more of them: the median over so many hardly moves. By choice: no scene on
-/// which the tree was measured has more photos.
-const ENOUGH_VIEWS: usize = 64;
+/// which the tree was measured has more photos. A click visits no more of a scene's photos either.
+pub(crate) const ENOUGH_VIEWS: usize = 64;
 
 /// Share of the splats a view sees that must need it, for the view to be added. By choice.
 const MIN_NEEDED: f32 = 0.1;

@@ -21,6 +21,7 @@ mod tree;
 
 pub use corrections::{CorrectedLeaves, LeafClick, ShownLeaves};
 pub use describable::MOST_DESCRIBABLE;
+pub(crate) use graph::ENOUGH_VIEWS;
 pub use graph::{CUES, FrontBorder, SplatEdge, SplatGraph, SplatsInView, TreeBuilder};
 pub use leaf_map::{LeafMap, ShownPixels};
 pub use mask_outlines::mask_outlines;

@@ -21,7 +21,7 @@ fn prompted(mask: &Mask) -> PromptedView<'_> {
 }
 
 /// The regions of a photo that are inside with a mean certainty over `least`.
-fn likelier(regions: &[Mask], certainty: &Image, least: f32) -> Mask {
+pub(super) fn likelier(regions: &[Mask], certainty: &Image, least: f32) -> Mask {
     let inside = |region: &&Mask| {
         let sum: f32 = region.pixels().map(|(x, y)| certainty.at(0, x as usize, y as usize)).sum();
         sum > least * region.count() as f32
@@ -360,7 +360,7 @@ fn a_box_within_a_photo_leaves_out_what_lies_beyond_the_frame_and_a_box_at_the_f
 }
 
 /// What each photo shows of some things.
-fn regions(world: &TestWorld, views: &[PosedView], things: &[usize]) -> Vec<Vec<Mask>> {
+pub(super) fn regions(world: &TestWorld, views: &[PosedView], things: &[usize]) -> Vec<Vec<Mask>> {
     let engine = engine();
     let region = |v: &PosedView, t: usize| {
         visible_mask(&engine, &world.splats, &world.is(t), &options(), &v.camera, &v.pose).unwrap()

@@ -5,6 +5,7 @@ mod common;
 mod baselines;
 mod carried;
 mod knn;
+mod many_photos;
 mod masked_tree;
 mod maxflow;
 mod query;

@@ -1,0 +1,164 @@
+//! Which photos of many are worth their time: a greedy selection by what each photo adds (docs/method.md, section 6.9).
+//!
+//! A photo covers cells: a point that it shows, seen from one of [`DIRECTION_BINS`] directions. The `n`-th photo that covers a cell
+//! adds `2^-n`, so that a further photo from where others were taken adds less and less, and one of another side adds the most. What
+//! a set of photos covers is a monotone submodular function of the set: the greedy order is at least 1 - 1/e as good as the best set
+//! of each size (Nemhauser, Wolsey and Fisher 1978), and a photo's gain never grows, so that gains are computed again only for the
+//! photos that may come next (Minoux 1978). Gains are whole numbers: the order of points and of photos changes no sum.
+
+use crate::{Camera, NEAR, Pose};
+use glam::Vec3;
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+/// Directions from a point to cameras that count as different: of each octant, the parts nearest to its three axes.
+pub const DIRECTION_BINS: usize = 24;
+
+/// What covering a cell any number of times tends to; the first photo adds half of it.
+const WHOLE: u64 = 1 << 32;
+
+/// How often photos cover each cell of some points.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ViewCoverage {
+    /// `[point][bin]`, flat. It stops counting at 255: what is added has long been nothing.
+    covered: Vec<u8>,
+}
+
+/// A photo that may be selected.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CandidateView<'a> {
+    /// Its name. Of photos that add the same, the one whose name comes first is selected.
+    pub name: &'a str,
+    /// The cells that it covers, each once: see [`cells_in_frame`].
+    pub cells: &'a [u32],
+}
+
+/// A photo that is selected.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SelectedView {
+    /// Its index among the candidates.
+    pub candidate: usize,
+    /// What it adds to those selected before it, in [0, 1]: 1 is what the first photo adds that shows all points.
+    pub added: f64,
+}
+
+impl ViewCoverage {
+    /// Of so many points that no photo covers yet.
+    pub fn none(points: usize) -> ViewCoverage {
+        ViewCoverage { covered: vec![0; points.saturating_mul(DIRECTION_BINS)] }
+    }
+
+    /// Adds a photo. Cells of points that there are not count for nothing.
+    pub fn add(&mut self, cells: &[u32]) {
+        for &cell in cells {
+            if let Some(covered) = self.covered.get_mut(cell as usize) {
+                *covered = covered.saturating_add(1);
+            }
+        }
+    }
+
+    /// What a photo would add, in [0, 1]: 1 is what the first photo adds that shows all points. 0 where there are no points.
+    pub fn gain(&self, cells: &[u32]) -> f64 {
+        let points = self.covered.len() / DIRECTION_BINS;
+        if points == 0 { 0.0 } else { self.units(cells) as f64 / (points as f64 * (WHOLE / 2) as f64) }
+    }
+
+    /// What a photo would add, in parts of [`WHOLE`].
+    fn units(&self, cells: &[u32]) -> u64 {
+        let added = |&cell: &u32| match self.covered.get(cell as usize) {
+            Some(&covered) => WHOLE.checked_shr(u32::from(covered) + 1).unwrap_or(0),
+            None => 0,
+        };
+        cells.iter().map(added).sum()
+    }
+}
+
+/// The cells that a photo covers of points in its frame for which `shows` is true, ascending, each once. Without a test of what
+/// stands before a point, they are those that the photo covers at most.
+pub fn cells_in_frame(
+    points: &[Vec3],
+    camera: &Camera,
+    pose: &Pose,
+    shows: impl Fn(usize) -> bool,
+) -> Vec<u32> {
+    let centre = pose.centre();
+    let cell = |(i, point): (usize, &Vec3)| {
+        let seen = pose.to_camera(*point);
+        let in_frame = seen.z > NEAR && camera.contains(camera.pixel(seen));
+        (in_frame && shows(i)).then(|| (i * DIRECTION_BINS + direction_bin(centre - *point)) as u32)
+    };
+    points.iter().enumerate().filter_map(cell).collect()
+}
+
+/// The bin of a direction: its octant, and the axis to which it is nearest.
+fn direction_bin(direction: Vec3) -> usize {
+    let Vec3 { x, y, z } = direction.abs();
+    let axis = if x >= y && x >= z {
+        0
+    } else if y >= z {
+        1
+    } else {
+        2
+    };
+    let [x, y, z] = direction.to_array().map(|component| usize::from(component < 0.0));
+    axis * 8 + x * 4 + y * 2 + z
+}
+
+/// A candidate in the queue.
+#[derive(PartialEq, Eq, PartialOrd, Ord)]
+struct QueuedView<'a> {
+    /// What it added when it was last computed: it adds no more now.
+    units: u64,
+    /// Of equal gains, the first name counts; of equal names, the first candidate.
+    order: Reverse<(&'a str, usize)>,
+    /// Photos that were selected by then.
+    selected: usize,
+}
+
+/// Selects photos, each the one that adds most to `covered` and to those selected before it, until there are `most` or the next
+/// adds less than `least` (as [`ViewCoverage::gain`]), or nothing. Every prefix is the selection of its size.
+///
+/// Each candidate is computed once, and again only while it may be the next: at worst all of them for each one that is selected.
+///
+/// ```
+/// use segwild_scene::view_selection::{CandidateView, DIRECTION_BINS, ViewCoverage, select_views};
+///
+/// // Two points. Two photos show both from one direction; a third shows the first point alone, from another one.
+/// let (both, other_side) = ([0, DIRECTION_BINS as u32], [7]);
+/// let candidates = [("a", &both[..]), ("b", &both[..]), ("c", &other_side[..])]
+///     .map(|(name, cells)| CandidateView { name, cells });
+/// let selected = select_views(&candidates, ViewCoverage::none(2), 3, 0.0);
+/// let order: Vec<(usize, f64)> = selected.iter().map(|s| (s.candidate, s.added)).collect();
+/// assert_eq!(order, [(0, 1.0), (1, 0.5), (2, 0.5)]);
+/// ```
+pub fn select_views(
+    candidates: &[CandidateView],
+    mut covered: ViewCoverage,
+    most: usize,
+    least: f64,
+) -> Vec<SelectedView> {
+    let mut selected: Vec<SelectedView> = Vec::new();
+    let mut queue = BinaryHeap::with_capacity(candidates.len());
+    for (index, candidate) in candidates.iter().enumerate() {
+        let units = covered.units(candidate.cells);
+        queue.push(QueuedView { units, order: Reverse((candidate.name, index)), selected: 0 });
+    }
+    while selected.len() < most {
+        let Some(mut next) = queue.pop() else { break };
+        let Reverse((_, index)) = next.order;
+        let cells = candidates[index].cells;
+        if next.selected < selected.len() {
+            (next.units, next.selected) = (covered.units(cells), selected.len());
+            queue.push(next);
+            continue;
+        }
+        let added = covered.gain(cells);
+        // No other adds more.
+        if next.units == 0 || added < least {
+            break;
+        }
+        covered.add(cells);
+        selected.push(SelectedView { candidate: index, added });
+    }
+    selected
+}
