@@ -15,12 +15,12 @@ use std::sync::Arc;
 /// Long side in pixels at which the views are compared: to select them, and to find a good order.
 const ORDER_SIZE: u32 = 128;
 
-/// Splats of the object for which photos are selected, at most (method, section 6.9). By choice: ten of them lie in
-/// a fiftieth of the object. Not varied yet.
+/// Splats of the object for which photos are selected, at most (method, section 6.9). By choice: ten of them lie in a fiftieth of
+/// the object. Not varied yet.
 const SELECTION_POINTS: usize = 512;
 
-/// Photos whose depths are compared with the splats, per photo that may be visited (method, section 6.9). By choice: half of the
-/// photos in whose frame a surface lies see its other side. Not varied yet.
+/// Photos that are rendered to find what they show, per photo that may be visited (method, section 6.9). By choice: of the photos
+/// in whose frame a surface lies, half see it from its other side. Not varied yet.
 const SURVEYED_PER_VISIT: usize = 2;
 
 /// What a photo adds under which it is not visited, 1 being what the first photo adds that shows the whole object (method, section
