@@ -13,7 +13,7 @@ use crate::harm::Harm;
 use segwild_eval::oracle::OracleOptions;
 use segwild_eval::protocols::folder::Parts;
 use segwild_eval::record::Record;
-use segwild_eval::trial::{ProviderKind, Trial, TrialError};
+use segwild_eval::trial::{ClickTiming, ProviderKind, Trial, TrialError};
 use segwild_flow::{Event, Events, Stopper, cpu};
 use segwild_pipeline::{
     Loaded, PhotoPrompts, RunError, RunFolder, RunOptions, Settings, SettingsError, Summary, Until, run,
@@ -108,6 +108,8 @@ pub enum Prompting {
     Inside(f32),
     /// So many times anywhere on the object, each in a random photo that shows it.
     Random(u32),
+    /// The same, and only timed: what is selected is neither saved nor scored.
+    Timed(u32),
     /// Nowhere: only the training counts.
     Nowhere,
 }
@@ -184,6 +186,13 @@ fn synthetic(
     let began = Instant::now();
     for object in trial.manifest().objects.iter().filter(|o| o.kind == ObjectKind::Object) {
         for (k, prompts) in clicks(job, &trial, object).into_iter().enumerate() {
+            if let Prompting::Timed(_) = job.prompting {
+                if let Some(ClickTiming { first_s, last_s, visited }) = session.time(prompts)? {
+                    let numbers = [("first_s", first_s), ("click_s", last_s), ("visited", visited as f64)];
+                    targets.push(job.record(&object.name, k as u32, &numbers));
+                }
+                continue;
+            }
             let s = session.score(object, prompts)?;
             let numbers = [
                 ("iou", s.iou),
@@ -236,7 +245,7 @@ fn clicks(job: &PointJob, trial: &Trial, object: &ObjectTruth) -> Vec<PhotoPromp
             nearest.map(|(x, y)| one(&best.photo, x as f32 + 0.5, y as f32 + 0.5)).into_iter().collect()
         }
         Prompting::Nowhere => Vec::new(),
-        Prompting::Random(times) => {
+        Prompting::Random(times) | Prompting::Timed(times) => {
             let shows = |p: &&SyntheticPhoto| {
                 let seen = p.mask(object.id).minus(&p.transients).count();
                 !p.test && seen * SHOWN >= p.instances.len()

@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
+use std::time::Instant;
 
 /// The provider of masks and descriptors in a trial.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -323,6 +324,17 @@ impl Trial {
     }
 }
 
+/// How long a click took, and what it visited.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClickTiming {
+    /// Seconds to the first answer.
+    pub first_s: f64,
+    /// Seconds to the last one.
+    pub last_s: f64,
+    /// Photos that were visited beside the clicked one.
+    pub visited: usize,
+}
+
 /// A trained trial and what is true of its splats.
 pub struct TrialSession<'a> {
     trial: &'a Trial,
@@ -341,6 +353,26 @@ impl TrialSession<'_> {
     fn select(&self, name: &str, prompts: PhotoPrompts) -> Result<SegmentOutcome, RunError> {
         let pending = self.session.ask(&[prompts][..].into(), &self.settings.segment, &Stopper::new())?;
         self.session.save(name, &pending.wait(|_, _| ())?)
+    }
+
+    /// Times the answers to prompts, without saving or scoring them; `None` where they select nothing.
+    pub fn time(&self, prompts: PhotoPrompts) -> Result<Option<ClickTiming>, TrialError> {
+        let began = Instant::now();
+        let mut first_s = None;
+        let pending = self.session.ask(&[prompts][..].into(), &self.settings.segment, &Stopper::new());
+        let answer = pending.and_then(|pending| {
+            pending.wait(|_, _| {
+                first_s.get_or_insert_with(|| began.elapsed().as_secs_f64());
+            })
+        });
+        match answer {
+            Ok(answer) => {
+                let (last_s, visited) = (answer.select_s, answer.segmented.selection.visits.len());
+                Ok(Some(ClickTiming { first_s: first_s.unwrap_or(last_s), last_s, visited }))
+            }
+            Err(RunError::Segment(error)) if error.is_nothing() => Ok(None),
+            Err(other) => Err(other.into()),
+        }
     }
 
     /// Selects what the prompts mean and scores it.

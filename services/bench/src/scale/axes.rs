@@ -6,8 +6,16 @@ use segwild_eval::record::Results;
 /// The protocol under which everything here is recorded.
 pub const PROTOCOL: &str = "scale";
 /// What grows, in the order of the page.
-pub const AXES: [&str; 7] =
-    ["kernels splats", "kernels pixels", "kernels channels", "photos", "splats", "pixels", "objects"];
+pub const AXES: [&str; 8] = [
+    "kernels splats",
+    "kernels pixels",
+    "kernels channels",
+    "photos",
+    "splats",
+    "pixels",
+    "objects",
+    "clicks",
+];
 
 /// A power law through measurements: `factor * size ^ slope`.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,5 +1,5 @@
-//! How time and memory grow: with splats, photos, pixels, channels and objects; the slopes; and what they predict for a scene
-//! that does not fit here.
+//! How time and memory grow: with splats, photos, pixels, channels and objects, and the time of a click with photos; the slopes;
+//! and what they predict for a scene that does not fit here.
 
 mod axes;
 pub(crate) mod kernels;
@@ -14,7 +14,9 @@ use crate::point::{self, PhotoSource, PointJob, Prompting};
 use segwild_eval::oracle::OracleOptions;
 use segwild_eval::record::{Provenance, Record, Results};
 use segwild_eval::trial::ProviderKind;
+use segwild_scene::statistics::median;
 use segwild_synthetic::SyntheticOptions;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// What to measure. An axis with fewer than two sizes is left out.
@@ -40,6 +42,8 @@ pub struct ScaleOptions {
     pub splats: Vec<u32>,
     /// Long sides of the photos of whole runs.
     pub pixels: Vec<u32>,
+    /// Photos of whole runs that are clicked.
+    pub clicks: Vec<u32>,
 }
 
 /// Measures what is not known yet; `report` receives the record of every size.
@@ -82,12 +86,17 @@ fn sizes(options: &ScaleOptions, axis: &str) -> Vec<u32> {
         "photos" => options.photos.clone(),
         "splats" => options.splats.clone(),
         "pixels" => options.pixels.clone(),
+        "clicks" => options.clicks.clone(),
         _ => vec![1, 2, 4],
     }
 }
 
 /// Clicks on each object.
 const PER_OBJECT: &str = "clicks_per_object";
+/// Clicks on each object that are timed, anywhere on it. By choice: the median is over two clicks on each object of the scene.
+const TIMED_CLICKS: u32 = 2;
+/// What is recorded of a timed click: seconds to the first and to the last answer, and photos that it visited.
+const OF_CLICKS: [&str; 3] = ["first_s", "click_s", "visited"];
 /// Photos, steps and pixels of a whole run in which something else grows.
 const PHOTOS: u32 = 16;
 const STEPS: u32 = 300;
@@ -96,7 +105,7 @@ const PIXELS: u32 = 128;
 /// A whole run with the built-in provider, in a process of its own, up to the held-out scores.
 fn run(options: &ScaleOptions, axis: &str, size: u32) -> Result<Record, PageError> {
     let of = |name: &str, usual: u32| if axis == name { size } else { usual };
-    let photos = of("photos", PHOTOS);
+    let photos = if axis == "clicks" { size } else { of("photos", PHOTOS) };
     let scene = SyntheticOptions {
         seed: 1,
         train: photos as usize,
@@ -133,6 +142,7 @@ fn run(options: &ScaleOptions, axis: &str, size: u32) -> Result<Record, PageErro
         harm: Harm::default(),
         prompting: match axis {
             "objects" => Prompting::Random(size),
+            "clicks" => Prompting::Timed(TIMED_CLICKS),
             _ => Prompting::Nowhere,
         },
         count: false,
@@ -142,23 +152,45 @@ fn run(options: &ScaleOptions, axis: &str, size: u32) -> Result<Record, PageErro
     let _ = std::fs::remove_dir_all(&job.dir);
     let records = point::apart(&options.program, &job)?;
     let _ = std::fs::remove_dir_all(&job.dir);
-    let clicks = records.iter().filter(|r| !r.target.is_empty()).count();
-    let mut record = records.into_iter().find(|r| r.target.is_empty()).unwrap_or_default();
-    if axis == "objects" {
-        let each = record.numbers.get("click_s").copied().unwrap_or(f64::NAN);
-        record.at = Some(clicks as f64);
-        record.numbers.retain(|name, _| name == "peak_mib");
-        record.numbers.insert("all_clicks_s".into(), each * clicks as f64);
-        record.numbers.insert(PER_OBJECT.into(), f64::from(size));
-    } else {
-        record.numbers.retain(|name, _| ["cpu_s", "wall_s", "peak_mib", "splats"].contains(&name.as_str()));
+    let (scene, clicks): (Vec<Record>, Vec<Record>) = records.into_iter().partition(|r| r.target.is_empty());
+    let mut record = scene.into_iter().next().unwrap_or_default();
+    match axis {
+        "objects" => {
+            let each = record.numbers.get("click_s").copied().unwrap_or(f64::NAN);
+            record.at = Some(clicks.len() as f64);
+            record.numbers.retain(|name, _| name == "peak_mib");
+            record.numbers.insert("all_clicks_s".into(), each * clicks.len() as f64);
+            record.numbers.insert(PER_OBJECT.into(), f64::from(size));
+        }
+        "clicks" => record.numbers = medians(&clicks),
+        _ => {
+            let kept = ["cpu_s", "wall_s", "peak_mib", "splats"];
+            record.numbers.retain(|name, _| kept.contains(&name.as_str()));
+        }
     }
     Ok(record)
+}
+
+/// The median of each number of timed clicks; a number that none has is left out.
+fn medians(clicks: &[Record]) -> BTreeMap<String, f64> {
+    let median_of = |name: &str| median(clicks.iter().filter_map(|r| r.numbers.get(name).copied()).collect());
+    OF_CLICKS.iter().filter_map(|name| Some(((*name).to_owned(), median_of(name)?))).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_run_has_the_medians_of_its_timed_clicks() {
+        let click = |click_s: f64, visited: f64| {
+            let numbers = BTreeMap::from([("click_s".into(), click_s), ("visited".into(), visited)]);
+            Record { numbers, ..Record::default() }
+        };
+        let of_run = medians(&[click(0.5, 64.0), click(9.0, 10.0), click(1.5, 40.0)]);
+        assert_eq!(of_run, BTreeMap::from([("click_s".into(), 1.5), ("visited".into(), 40.0)]));
+        assert!(medians(&[]).is_empty());
+    }
 
     #[test]
     fn kernels_are_measured_and_cost_something() {

@@ -24,7 +24,9 @@ pub fn markdown(results: &Results) -> String {
         "# {}\n\n{} This page is generated. {}\n\nSlopes are of log-log fits: 1 is linear, 0 does not \
          grow; the last is between the two largest sizes, where fixed costs count least. Kernel passes are CPU milliseconds over \
          splats of 0.5 to 3 px (at a width of 400); whole runs are synthetic scenes, 16 photos of 128 \
-         px and 300 steps unless that is what grows, caches of a fixed size, each in a process of its own.\n",
+         px and 300 steps unless that is what grows, caches of a fixed size, each in a process of its own. Of clicks, it is the photos \
+         that grow: medians over two clicks anywhere on each object, of the seconds to the first and to the last answer, and of the \
+         photos that were visited.\n",
         stamp::title("How it grows", &by),
         stamp::first_sentence(&by, &[]),
         stamp::stamp(made, &by)

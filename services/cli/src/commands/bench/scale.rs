@@ -13,13 +13,13 @@ use std::path::PathBuf;
 /// The benchmark's arguments.
 pub fn command() -> Command {
     Command::new("scale")
-        .about("How time and memory grow, with slopes: splats, photos, pixels, channels, objects")
+        .about("How time and memory grow, with slopes: splats, photos, pixels, channels, objects, clicks")
         .after_help(examples("segwild bench scale", "segwild bench scale --photo-counts 10,100 --splat-counts 2000,16000"))
         .arg(
             Arg::new("only")
                 .long("only")
                 .value_name("LIST")
-                .help("Axes to measure, with commas: kernels splats, kernels pixels, kernels channels, photos, splats, pixels, objects [default: all]"),
+                .help("Axes to measure, with commas: kernels splats, kernels pixels, kernels channels, photos, splats, pixels, objects, clicks [default: all]"),
         )
         .arg(each_of("kernel-splats", "1000,10000,100000,500000,2000000", "Splats of the kernels' frame"))
         .arg(each_of("kernel-pixels", "160,320,640,1280", "Widths of the kernels' frame"))
@@ -27,6 +27,7 @@ pub fn command() -> Command {
         .arg(each_of("photo-counts", "10,30,100,300", "Photos of whole runs"))
         .arg(each_of("splat-counts", "2000,16000,64000", "Most splats of whole runs"))
         .arg(photo_sizes("80,160,320"))
+        .arg(each_of("click-photo-counts", "10,30,100,300,1000,1500", "Photos of whole runs that are clicked"))
         .arg(path("out", "Folder for results; what is there is not measured again [default: .bench/scale]"))
         .arg(path("page", "Write the page to this file"))
         .arg(json())
@@ -45,6 +46,7 @@ pub fn scale(matches: &ArgMatches) -> Result<(), Failure> {
         photos: numbers(matches, "photo-counts")?,
         splats: numbers(matches, "splat-counts")?,
         pixels: numbers(matches, "sizes")?,
+        clicks: numbers(matches, "click-photo-counts")?,
     };
     let json = matches.get_flag("json");
     let report = |record: &Record| {
@@ -61,9 +63,18 @@ pub fn scale(matches: &ArgMatches) -> Result<(), Failure> {
         return Ok(());
     }
     for axis in AXES {
-        for number in
-            ["project_ms", "forward_ms", "backward_ms", "gather_ms", "cpu_s", "all_clicks_s", "peak_mib"]
-        {
+        for number in [
+            "project_ms",
+            "forward_ms",
+            "backward_ms",
+            "gather_ms",
+            "cpu_s",
+            "all_clicks_s",
+            "first_s",
+            "click_s",
+            "visited",
+            "peak_mib",
+        ] {
             if let Some(fit) = Fit::of(&along(&results, axis, number)) {
                 print_line(&format!("{axis}: {number} slope {:.2}, last {:.2}", fit.slope, fit.last))?;
             }
