@@ -85,5 +85,7 @@ pub use session::{
     Answer, PackedSplats, PendingAnswer, SegmentOutcome, Session, SessionOptions, ShownParts, ShownScene,
     export_objects, list_objects, segment,
 };
-pub use settings::{EngineKind, RunBudget, RunSettings, Scoring, Settings, SettingsError, WhenLost, renamed};
+pub use settings::{
+    DescribedPhotos, EngineKind, RunBudget, RunSettings, Scoring, Settings, SettingsError, WhenLost, renamed,
+};
 pub use transients::{TrainFit, TransientScore, TransientScores, score_transients};

@@ -82,12 +82,17 @@ pub fn cells_in_frame(
     shows: impl Fn(usize) -> bool,
 ) -> Vec<u32> {
     let centre = pose.centre();
-    let cell = |(i, point): (usize, &Vec3)| {
+    let covered = |(i, point): (usize, &Vec3)| {
         let seen = pose.to_camera(*point);
         let in_frame = seen.z > NEAR && camera.contains(camera.pixel(seen));
-        (in_frame && shows(i)).then(|| (i * DIRECTION_BINS + direction_bin(centre - *point)) as u32)
+        (in_frame && shows(i)).then(|| cell(i, centre - *point))
     };
-    points.iter().enumerate().filter_map(cell).collect()
+    points.iter().enumerate().filter_map(covered).collect()
+}
+
+/// The cell of the point of a number, seen from a direction.
+pub fn cell(point: usize, direction: Vec3) -> u32 {
+    (point * DIRECTION_BINS + direction_bin(direction)) as u32
 }
 
 /// The bin of a direction: its octant, and the axis to which it is nearest.

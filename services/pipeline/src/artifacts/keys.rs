@@ -3,6 +3,7 @@
 //! Same key, same bytes. A key hashes everything that the artefact depends on, so that a changed setting recomputes
 //! exactly what depends on it.
 
+use super::described;
 use super::digests::{Digests, PhotoRefusal};
 use super::scene_tree::{masked_tree_key, tree_key};
 use crate::Settings;
@@ -57,6 +58,8 @@ pub struct Keys {
     segmenter: String,
     /// Where the tree is grown from masks instead: the views that take part, and whether each has masks.
     masked: Option<BTreeMap<usize, bool>>,
+    /// The views of which neither masks nor descriptors are made, since others show what they do.
+    left_out: BTreeSet<usize>,
 }
 
 /// Settings that a group's artefacts do not depend on. Some change only the speed or the memory; others have an effect
@@ -280,11 +283,16 @@ impl Keys {
         };
         let masks = per_view(&|view| inputs.masks(view, &snapshot, &sky[view]));
         let visibility = per_view(&|view| inputs.visibility(view, &geometry, &sky[view]));
-        let features = inputs.features(&geometry, &embedding, &masks);
-        let evaluation = inputs.evaluation(&geometry);
         let takes_part = |i: &usize| !scene.views[*i].test && digests[*i].is_ok();
+        let usable: Vec<usize> = views.clone().filter(takes_part).collect();
+        let left_out = described::left_out(scene, settings.run.described_photos, &usable);
+        let features = inputs.features(&geometry, &embedding, &masks);
+        // The same key where no photo is left out, so that those of such runs stay as they were.
+        let features =
+            if left_out.is_empty() { features } else { key_without(&features, "description", &left_out) };
+        let evaluation = inputs.evaluation(&geometry);
         let masked: Option<BTreeMap<usize, bool>> = match providers.segmenter.finds_objects() {
-            true => Some(views.clone().filter(takes_part).map(|i| (i, true)).collect()),
+            true => Some(usable.into_iter().filter(|i| !left_out.contains(i)).map(|i| (i, true)).collect()),
             false => None,
         };
         Keys {
@@ -305,6 +313,7 @@ impl Keys {
             evaluation,
             segmenter: providers.segmenter.key(),
             masked,
+            left_out,
         }
     }
 
@@ -384,6 +393,16 @@ impl Keys {
     pub fn give_up_masks(&mut self, views: &BTreeSet<usize>) {
         let masked = self.masked.iter_mut().flatten();
         masked.filter(|(view, _)| views.contains(*view)).for_each(|(_, has)| *has = false);
+    }
+
+    /// Whether masks and descriptors are made of a view's photo, if it is trained on.
+    pub fn is_described(&self, view: usize) -> bool {
+        !self.left_out.contains(&view)
+    }
+
+    /// The photos of which neither masks nor descriptors are made.
+    pub fn left_out(&self) -> usize {
+        self.left_out.len()
     }
 
     /// By view, the reason why its photo cannot be used; `None` where it can.

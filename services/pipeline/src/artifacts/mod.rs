@@ -4,6 +4,7 @@ pub(crate) mod auto_choice;
 pub(crate) mod cache;
 pub(crate) mod cameras;
 pub(crate) mod checkpoints;
+pub(crate) mod described;
 pub(crate) mod digests;
 pub(crate) mod folder;
 pub(crate) mod history;

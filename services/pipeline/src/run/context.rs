@@ -185,6 +185,11 @@ impl RunContext<'_> {
             .collect()
     }
 
+    /// The views that masks and descriptors are made of, in order.
+    pub fn described_views(&self) -> Vec<usize> {
+        self.views(false).into_iter().filter(|view| self.keys.is_described(*view)).collect()
+    }
+
     /// Checks that every photo still has the content that this run's keys name. It is called before something is kept,
     /// since the photos may have changed in the meantime.
     ///
@@ -232,7 +237,7 @@ impl RunContext<'_> {
 
     /// Whether it is known of each photo if it has masks.
     pub fn all_masks_known(&self) -> bool {
-        self.views(false).into_iter().all(|view| self.signals.masks_known.get(view).is_some())
+        self.described_views().into_iter().all(|view| self.signals.masks_known.get(view).is_some())
     }
 
     /// Starts a stage in the ledger under its key, with a progress bar over `total` photos.
@@ -298,7 +303,11 @@ impl RunContext<'_> {
     pub fn close(&mut self, stage: Stage, key: &Key) -> Result<(), RunError> {
         let Some(bar) = self.bars.remove(&stage) else { return Ok(()) };
         bar.finish();
-        self.weigh_failures(stage, self.views(stage == Stage::Sky).len());
+        let photos = match stage {
+            Stage::Masks | Stage::Embed => self.described_views(),
+            _ => self.views(stage == Stage::Sky),
+        };
+        self.weigh_failures(stage, photos.len());
         Ok(self.setup.ledger.finish_stage(stage.name(), key, None)?)
     }
 

@@ -61,6 +61,9 @@ pub fn execute<'a>(
     let memory = plan.settings.run.photo_memory as usize * (1 << 20);
     let photos = Arc::new(prepared.photos.store(memory));
     let setup = setup(prepared, plan, folder, options, &photos);
+    if let Some(words) = left_out_in_words(prepared, plan) {
+        events.info(Some(Stage::Masks.name()), words);
+    }
     let signals = RunSignals::new(skies(&setup, &photos, prepared, plan));
     let mut coordinator = Coordinator::new(RunContext::new(&setup, photos, &plan.keys, signals))?;
     let traces = Traces::start(folder, &prepared.pose_spans)?;
@@ -101,6 +104,20 @@ pub fn execute<'a>(
         paused: run.made.paused,
         counts: run.counts(),
         report_key: node_of(Stage::Report).key(run.keys()),
+    })
+}
+
+/// Of how many photos masks and descriptors are made and why not of the others, in words; `None` where of all.
+fn left_out_in_words(prepared: &PreparedRun, plan: &RunPlan) -> Option<String> {
+    let (views, left_out) = (&prepared.scene.views, plan.keys.left_out());
+    let trained = |view: &usize| !views[*view].test && plan.keys.unreadable(*view).is_none();
+    let photos = (0..views.len()).filter(trained).count();
+    (left_out > 0 && plan.last >= Stage::Embed).then(|| {
+        format!(
+            "masks and descriptors are made of {} of {photos} photos: the other {left_out} show from the same directions what these \
+             do (--described-photos all makes them of all)",
+            photos - left_out
+        )
     })
 }
 

@@ -54,6 +54,8 @@ pub enum StageResults {
         keys: fn(&Keys) -> &[Key],
         /// Whether held-out photos have one.
         held_out: bool,
+        /// Whether those photos alone have one that masks and descriptors are made of.
+        described: bool,
         /// Whether they are made from the training's snapshot, which a run that stops early does not reach.
         from_snapshot: bool,
     },
@@ -76,9 +78,10 @@ impl StageResults {
     /// The key of the stage in the ledger.
     pub fn key(&self, keys: &Keys) -> Key {
         match self {
-            StageResults::PerPhoto { domain, keys: of, .. } => {
-                let all = of(keys).iter();
-                all.fold(Key::of(domain), |key, artefact| key.key(&artefact.hex(), artefact)).finish()
+            StageResults::PerPhoto { domain, keys: of, described, .. } => {
+                let all = of(keys).iter().enumerate();
+                let made = all.filter(|(view, _)| !described || keys.is_described(*view));
+                made.fold(Key::of(domain), |key, (_, artefact)| key.key(&artefact.hex(), artefact)).finish()
             }
             StageResults::Cached(key)
             | StageResults::Files(key)
@@ -104,9 +107,12 @@ impl StageResults {
             {
                 StageVerdict::NotReached
             }
-            StageResults::PerPhoto { keys, held_out, .. } => {
+            StageResults::PerPhoto { keys, held_out, described, .. } => {
                 let (views, keys) = (&now.scene.views, keys(&now.keys));
-                let usable = |&i: &usize| (*held_out || !views[i].test) && now.keys.unreadable(i).is_none();
+                let usable = |&i: &usize| {
+                    let made = !described || now.keys.is_described(i);
+                    made && (*held_out || !views[i].test) && now.keys.unreadable(i).is_none()
+                };
                 let usable: Vec<usize> = (0..views.len()).filter(usable).collect();
                 match usable.iter().filter(|&&i| !kept.cache.contains(&keys[i])).count() {
                     0 => StageVerdict::Reused,

@@ -31,7 +31,10 @@ pub fn tree_source<'a>(
 /// The outlines of the masks that the stage `masks` makes; masks that have gone from the cache are made again.
 fn outlines<'a>(inputs: &'a Inputs, stopping: &'a dyn Fn() -> bool) -> Result<PhotoBoundaries<'a>, RunError> {
     let views = &inputs.recompute.scene.views;
-    let takes_part = |view: &usize| !views[*view].test && inputs.keys.unreadable(*view).is_none();
+    let keys_of = &inputs.keys;
+    let takes_part = |view: &usize| {
+        !views[*view].test && keys_of.unreadable(*view).is_none() && keys_of.is_described(*view)
+    };
     let mut keys = MaskKeys::new();
     for view in (0..views.len()).filter(takes_part) {
         let known = inputs.masks_known.wait(view, stopping).ok_or(RunError::Interrupted)?;

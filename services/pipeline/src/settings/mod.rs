@@ -11,4 +11,4 @@ pub use composed::Settings;
 pub(crate) use former::is_removed;
 pub use former::renamed;
 pub use layers::SettingsError;
-pub use whole_run::{EngineKind, RunBudget, RunSettings, Scoring, WhenLost};
+pub use whole_run::{DescribedPhotos, EngineKind, RunBudget, RunSettings, Scoring, WhenLost};

@@ -49,6 +49,17 @@ choice! {
     }
 }
 
+choice! {
+    /// The photos that masks and descriptors are made of.
+    pub enum DescribedPhotos {
+        /// All of up to 200. Of more, the 200 that show most of the scene from most directions, and the others as far as they show
+        /// what few of these do.
+        Auto = "auto",
+        /// All that are trained on.
+        All = "all",
+    }
+}
+
 settings! {
     /// The run as a whole.
     pub struct RunSettings("run", user: preset budget engine threads) {
@@ -77,6 +88,8 @@ settings! {
         /// Photos that masks and descriptors are made of at the same time, beside the training. 0: half of the cores, and as many
         /// as vision services take.
         photos_at_once: u32 = 0 => 0..=64,
+        /// Photos that masks and descriptors are made of. All are trained on, whatever this says, and all have transient masks.
+        described_photos: DescribedPhotos = DescribedPhotos::Auto,
         /// Memory in MiB for photos that were decoded, until the next stage reads them.
         photo_memory: u32 = 64,
         /// Checkpoints of the training that are kept; with 2, a damaged one has another to fall back on.

@@ -4,6 +4,7 @@ use super::html::{self, ChartSeries};
 use super::objects;
 use super::shown::{SHOWN, pass, small_photo, spread};
 use crate::artifacts::auto_choice::AutoChoice;
+use crate::artifacts::described::ALL_DESCRIBED;
 use crate::artifacts::folder::Loaded;
 use crate::artifacts::history::{self, Moment};
 use crate::artifacts::images::ImageFiles;
@@ -83,6 +84,11 @@ fn figures(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
             intake.skipped.len()
         ),
     );
+    let (described, trained) = (made(folder, "masks")?.len(), loaded.model.trained_on.len());
+    if trained > ALL_DESCRIBED && (1..trained).contains(&described) {
+        let of = format!("{described} of {trained} photos, those that show most from most directions");
+        row("masks and descriptors of", of);
+    }
     row("points", intake.points.to_string());
     if !intake.provider.is_empty() {
         row("masks and clicks by", intake.provider.clone());

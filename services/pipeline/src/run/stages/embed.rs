@@ -21,6 +21,7 @@ pub const NODE: StageNode = StageNode {
         domain: "embed stage",
         keys: |keys| &keys.embedding,
         held_out: false,
+        described: true,
         from_snapshot: false,
     },
     work: StageWork::Actors(|| Box::new(EmbedStage::Waiting)),
@@ -42,7 +43,7 @@ impl ActorStage for EmbedStage {
     }
 
     fn start(&mut self, run: &mut RunContext<'_>, actors: &Actors<'_>) -> Result<(), RunError> {
-        let views = run.views(false);
+        let views = run.described_views();
         *self = EmbedStage::Open(views.len());
         run.open(Stage::Embed, &NODE.key(run.keys()), views.len())?;
         let (features, keys) = (actors.features.clone(), run.keys().embedding.clone());

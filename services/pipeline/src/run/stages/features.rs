@@ -123,7 +123,7 @@ fn order(run: &mut RunContext<'_>, actors: &Actors<'_>) -> Result<FeatureStage, 
 /// The key of the field, as far as is known. A field without the embedding, the masks or the visibility of photos that
 /// were given up has another key than the field with them.
 fn field_key(run: &RunContext<'_>) -> Key {
-    let views = run.views(false);
+    let views = run.described_views();
     let no_embedding = views.iter().copied().filter(|&view| !run.made.embedded[view]).collect();
     let no_masks = views.iter().copied().filter(|&v| run.signals.masks_known.get(v) == Some(false)).collect();
     run.keys().features_without(&no_embedding, &no_masks, &run.made.unseen)

@@ -28,6 +28,7 @@ pub const NODE: StageNode = StageNode {
         domain: "masks stage",
         keys: |keys| &keys.masks,
         held_out: false,
+        described: true,
         from_snapshot: true,
     },
     work: StageWork::Actors(|| Box::new(MasksStage::Waiting)),
@@ -50,7 +51,7 @@ impl ActorStage for MasksStage {
 
     fn start(&mut self, run: &mut RunContext<'_>, actors: &Actors<'_>) -> Result<(), RunError> {
         let Some(snapshot) = run.made.snapshot.take() else { return Ok(()) };
-        let views = run.views(false);
+        let views = run.described_views();
         *self = MasksStage::Open(views.len());
         run.open(Stage::Masks, &NODE.key(run.keys()), views.len())?;
         let (size, keys, skies) =

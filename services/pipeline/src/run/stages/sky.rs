@@ -23,6 +23,7 @@ pub const NODE: StageNode = StageNode {
         domain: "sky stage",
         keys: |keys| &keys.sky,
         held_out: true,
+        described: false,
         from_snapshot: false,
     },
     work: StageWork::Actors(|| Box::new(SkyStage::Waiting)),

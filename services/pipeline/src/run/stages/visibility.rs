@@ -36,6 +36,7 @@ pub const NODE: StageNode = StageNode {
         domain: "visibility stage",
         keys: |keys| &keys.visibility,
         held_out: false,
+        described: false,
         from_snapshot: false,
     },
     work: StageWork::Actors(|| Box::new(VisibilityStage::Waiting)),
