@@ -7,7 +7,7 @@ use segwild_flow::{Key, Ledger};
 use segwild_scene::{Image, MaskSet, PhotoStore, Scene};
 use segwild_segmenter::scene_tree::mask_outlines;
 use segwild_vision::PromptSegmenter;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 /// Domain of the masks' keys, kind of their records, and name of their stage in the ledger.
 pub(crate) const MASKS: &str = "masks";
@@ -37,6 +37,8 @@ pub(crate) enum PhotoCue {
     Strengths(Image),
     /// The photo takes no part.
     LeftOut,
+    /// No masks are made of the photo: what it shows is only counted.
+    OnlyCounted,
     /// They are needed, and are not there.
     Missing,
 }
@@ -91,7 +93,7 @@ impl<'a> PhotoBoundaries<'a> {
             }
             PhotoBoundaries::Masks { keys, read } => {
                 let key = match keys.get(&view) {
-                    None => return Ok(PhotoCue::LeftOut),
+                    None => return Ok(PhotoCue::OnlyCounted),
                     Some(None) => return Ok(PhotoCue::Strengths(Image::zeros(width, height, 1))),
                     Some(Some(key)) => key,
                 };
@@ -120,6 +122,7 @@ fn recorded(rows: &[ViewRow], scene: &Scene) -> MaskKeys {
         State::Failed => Some(None),
         State::Pending | State::Running => None,
     };
+    let by_name: HashMap<&str, &ViewRow> = rows.iter().map(|row| (row.view.as_str(), row)).collect();
     let views = scene.views.iter().enumerate().filter(|(_, view)| !view.test);
-    views.filter_map(|(i, view)| Some((i, of_row(rows.iter().find(|row| row.view == view.name)?)?))).collect()
+    views.filter_map(|(i, view)| Some((i, of_row(by_name.get(view.name.as_str())?)?))).collect()
 }

@@ -54,8 +54,8 @@ impl TreeSource<'_> {
     }
 
     /// Reads the tree from the cache, or grows it. `None` where the boundaries of a photo that it needs are not there. Photos that
-    /// cannot be read, those held out, and those that see nothing but what enough others see take no part; the last are only counted
-    /// ([`SceneTree::shown_by`]).
+    /// cannot be read, those held out, those without masks where it is grown from masks, and those that see nothing but what enough
+    /// others see take no part; the last two are only counted ([`SceneTree::shown_by`]).
     ///
     /// # Errors
     /// When the scene cannot be rendered, the cache cannot be read, or `stopping` returns true.
@@ -89,6 +89,10 @@ impl TreeSource<'_> {
             match self.boundaries.of(self.photos, index, width, height)? {
                 PhotoCue::Strengths(strengths) => builder.add(view, &strengths),
                 PhotoCue::LeftOut => continue,
+                PhotoCue::OnlyCounted => {
+                    builder.count(&view);
+                    continue;
+                }
                 PhotoCue::Missing => return Ok(None),
             }
             seen = true;
