@@ -1,9 +1,12 @@
 //! The coordinator with simulated actors: which stage starts when, whatever the order of the answers.
 
-use crate::simulated::{PHOTOS, SPLATS, Seen, Simulated, settings, write_scene};
+use crate::simulated::{PHOTOS, SPLATS, Seen, Simulated, settings, write_scene, write_scene_of};
 use segwild_flow::ledger::State;
-use segwild_flow::{Ledger, files};
-use segwild_pipeline::{RunError, RunFolder, RunOptions, Stage, Summary, Until, run_with_actors};
+use segwild_flow::{Event, Events, Ledger, files};
+use segwild_pipeline::{
+    DescribedPhotos, RunError, RunFolder, RunOptions, Stage, Summary, Until, run_with_actors,
+};
+use std::collections::BTreeSet;
 use std::path::Path;
 
 /// A scene and a folder for runs.
@@ -118,6 +121,47 @@ fn a_stage_whose_result_is_in_the_cache_does_not_start() {
     }
     // Something of the training is kept: its key depends on the skies, so that they come first.
     assert!(last(&log, Stage::Sky) < at(&log, &Seen::Ordered(Stage::Masks, Some(0))), "{log:#?}");
+}
+
+#[test]
+fn of_more_photos_than_pay_some_have_masks_and_embeddings_and_all_are_trained_on() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    write_scene_of(&dir.path().join("scene"), 205);
+    let run_with = |described: DescribedPhotos| {
+        let (actors, events) = (Simulated::default(), Events::new());
+        let mut settings = settings();
+        settings.run.described_photos = described;
+        let listener = events.subscribe();
+        let options = RunOptions { until: Some(FEATURES), events, ..RunOptions::default() };
+        let (scene, folder) = (dir.path().join("scene"), dir.path().join("run"));
+        let folder = RunFolder::create(&folder).expect("a folder");
+        let summary = run_with_actors(&scene, &folder, &settings, &options, &actors).expect("it runs");
+        let mut messages = Vec::new();
+        while let Some(event) = listener.try_next() {
+            if let Event::Message { message, .. } = event.event {
+                messages.push(message);
+            }
+        }
+        let of = |stage: Stage| -> BTreeSet<usize> {
+            let ordered = |seen: &Seen| match seen {
+                Seen::Ordered(of, Some(view)) if *of == stage => Some(*view),
+                _ => None,
+            };
+            actors.log().iter().filter_map(ordered).collect()
+        };
+        let field_of: BTreeSet<usize> = actors.field_of.lock().expect("no panic").iter().copied().collect();
+        assert_eq!(summary.skipped.len(), 0);
+        (of(Stage::Sky).len(), of(Stage::Embed), of(Stage::Masks), field_of, messages)
+    };
+    let (skies, embedded, masked, field_of, messages) = run_with(DescribedPhotos::Auto);
+    assert_eq!((skies, embedded.len()), (205, 200));
+    assert!(embedded == masked && masked == field_of);
+    let says = "masks and descriptors are made of 200 of 205 photos: the other 5";
+    assert!(messages.iter().any(|message| message.starts_with(says)), "{messages:#?}");
+    // The field of all photos is another one.
+    let (_, embedded, masked, field_of, messages) = run_with(DescribedPhotos::All);
+    assert_eq!((embedded.len(), masked.len(), field_of.len()), (205, 205, 205));
+    assert!(!messages.iter().any(|message| message.contains("masks and descriptors")), "{messages:#?}");
 }
 
 #[test]

@@ -314,9 +314,14 @@ fn field(splats: usize) -> FeatureField {
 
 /// Writes a scene of [`PHOTOS`] photos, side by side.
 pub fn write_scene(folder: &Path) {
+    write_scene_of(folder, PHOTOS);
+}
+
+/// Writes a scene of so many photos, side by side.
+pub fn write_scene_of(folder: &Path, photos: usize) {
     std::fs::create_dir_all(folder.join("images")).expect("a folder");
     let mut frames = Vec::new();
-    for i in 0..PHOTOS {
+    for i in 0..photos {
         let mut image = Image::zeros(40, 30, 3);
         for (k, value) in image.data.iter_mut().enumerate() {
             *value = ((k * (i + 3)) % 97) as f32 / 97.0;
