@@ -60,8 +60,7 @@ impl<'a> OpenViews<'a> {
         let visits = request.settings.propagate_views;
         let most = if selects { visits.min(ENOUGH_VIEWS) } else { visits };
         let (views, known) = (Vec::new(), HashMap::new());
-        let mut open =
-            OpenViews { request, refiner, others, most, selects, selected_after: 0, views, known };
+        let mut open = OpenViews { request, refiner, others, most, selects, selected_after: 0, views, known };
         match selects {
             true => open.select(fusion, state, &[])?,
             false => {

@@ -134,7 +134,11 @@ fn worker_words(worker: &FarmWorkerView) -> String {
         words.push(format!("{} of {}", worker.used.cores, count(whole.cores, "core")));
         words.push(format!("{} of {}", bytes(worker.used.memory_bytes), bytes(whole.memory_bytes)));
         if whole.accelerators > 0 {
-            words.push(format!("{} of {}", worker.used.accelerators, count(whole.accelerators, "accelerator")));
+            words.push(format!(
+                "{} of {}",
+                worker.used.accelerators,
+                count(whole.accelerators, "accelerator")
+            ));
         }
     }
     words.extend(worker.accelerator.clone());
