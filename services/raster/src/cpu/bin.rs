@@ -1,6 +1,8 @@
 //! Which splats touch which tiles, nearest first.
 //!
-//! Splats are sorted by depth once; dealing them out in that order leaves every tile's list sorted.
+//! Splats are dealt to tiles in the order in which they are stored, and every tile sorts its own list by depth. So no
+//! pass reads memory by depth: a view of millions of splats does not fit a cache, but the list of a tile does, and the
+//! tiles are sorted in parallel.
 
 use super::project::{LOG2_ALPHA_MIN, Projector, SLACK, SplatFootprint};
 use super::simd::{self, Isa, Simd, SimdKernel};
@@ -11,11 +13,13 @@ use segwild_scene::Splats;
 pub(crate) const WIDTH: usize = 32;
 /// Height of a tile in pixels.
 pub(crate) const HEIGHT: usize = 16;
-/// Splats that one task projects.
+/// Splats that one task projects; a span numbers them in 16 bits.
 const CHUNK: usize = 512;
+/// Entries of a tile from which on they are sorted digit by digit instead of by comparison.
+const RADIX: usize = 256;
 
 /// One splat in one tile.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct TileEntry {
     /// The splat.
     pub splat: u32,
@@ -23,9 +27,11 @@ pub(crate) struct TileEntry {
     pub slot: u32,
 }
 
-/// A run of tiles in one row of tiles.
+/// A run of tiles in one row of tiles, which one splat touches.
 #[derive(Clone, Copy, Debug, Default)]
 struct TileSpan {
+    /// The splat, counted from the first of its chunk.
+    splat: u16,
     row: u16,
     from: u16,
     to: u16,
@@ -45,11 +51,8 @@ pub(crate) struct Bins {
     /// `starts[t]..starts[t + 1]` are the entries of tile t.
     pub starts: Vec<u32>,
     pub entries: Vec<TileEntry>,
-    /// Per splat, where its spans start in its chunk's list, and how many there are.
-    spans_of: Vec<(u32, u32)>,
+    /// Per chunk, in the order of splats, then rows.
     spans: Vec<Vec<TileSpan>>,
-    order: Vec<(u32, u32)>,
-    order_swap: Vec<(u32, u32)>,
     cursors: Vec<u32>,
 }
 
@@ -64,7 +67,6 @@ impl Bins {
         self.radii.resize(n, 0.0);
         self.centres.resize(n, [0.0; 2]);
         self.footprints.resize(n, SplatFootprint::default());
-        self.spans_of.resize(n, (0, 0));
         self.slots.resize(n + 1, 0);
         self.spans.resize_with(n.div_ceil(CHUNK), Vec::new);
         let counts = &mut self.slots[1..];
@@ -73,27 +75,14 @@ impl Bins {
             .zip(self.radii.par_chunks_mut(CHUNK))
             .zip(self.centres.par_chunks_mut(CHUNK))
             .zip(self.footprints.par_chunks_mut(CHUNK))
-            .zip(self.spans_of.par_chunks_mut(CHUNK))
             .zip(counts.par_chunks_mut(CHUNK))
             .zip(self.spans.par_iter_mut())
             .enumerate()
-            .for_each(|(chunk, ((((((depths, radii), centres), prints), spans_of), counts), spans))| {
+            .for_each(|(chunk, (((((depths, radii), centres), prints), counts), spans))| {
                 let first = chunk * CHUNK;
-                simd::run(
-                    isa,
-                    Chunk {
-                        splats,
-                        projector,
-                        first,
-                        depths,
-                        radii,
-                        centres,
-                        prints,
-                        spans_of,
-                        counts,
-                        spans,
-                    },
-                );
+                let kernel =
+                    Chunk { splats, projector, first, depths, radii, centres, prints, counts, spans };
+                simd::run(isa, kernel);
             });
 
         numbered(&self.slots[1..])?;
@@ -106,24 +95,22 @@ impl Bins {
             }
         }
         prefix_sum(&mut self.starts);
-        self.order.clear();
-        for i in 0..n {
-            if self.slots[i + 1] > 0 {
-                // Depths are positive, so their bits are in the same order as they are.
-                self.order.push((self.depths[i].to_bits(), i as u32));
-            }
-        }
         prefix_sum(&mut self.slots);
-        sort_by_key(&mut self.order, &mut self.order_swap);
+        self.deal();
+        self.sort_tiles();
+        Ok(())
+    }
 
+    /// Deals the splats to the tiles in the order of splats, in which the slots are numbered too.
+    fn deal(&mut self) {
         self.cursors.clear();
         self.cursors.extend_from_slice(&self.starts);
-        self.entries.resize(self.slots[n] as usize, TileEntry { splat: 0, slot: 0 });
-        for &(_, splat) in &self.order {
-            let i = splat as usize;
-            let mut slot = self.slots[i];
-            let (first, count) = self.spans_of[i];
-            for span in &self.spans[i / CHUNK][first as usize..(first + count) as usize] {
+        self.entries.resize(self.slots[self.depths.len()] as usize, TileEntry::default());
+        let mut slot = 0;
+        for (chunk, spans) in self.spans.iter().enumerate() {
+            let first = (chunk * CHUNK) as u32;
+            for span in spans {
+                let splat = first + u32::from(span.splat);
                 let row = span.row as usize * self.columns;
                 for cursor in &mut self.cursors[row + span.from as usize..=row + span.to as usize] {
                     self.entries[*cursor as usize] = TileEntry { splat, slot };
@@ -132,7 +119,19 @@ impl Bins {
                 }
             }
         }
-        Ok(())
+    }
+
+    /// Sorts the entries of every tile by depth.
+    fn sort_tiles(&mut self) {
+        let depths = self.depths.as_slice();
+        let mut tiles = Vec::with_capacity(self.starts.len() - 1);
+        let mut rest = self.entries.as_mut_slice();
+        for ends in self.starts.windows(2) {
+            let (tile, after) = rest.split_at_mut((ends[1] - ends[0]) as usize);
+            tiles.push(tile);
+            rest = after;
+        }
+        tiles.into_par_iter().for_each_init(TileSort::default, |memory, tile| memory.sort(tile, depths));
     }
 
     /// Entries of a tile, nearest first.
@@ -155,7 +154,6 @@ struct Chunk<'a> {
     radii: &'a mut [f32],
     centres: &'a mut [[f32; 2]],
     prints: &'a mut [SplatFootprint],
-    spans_of: &'a mut [(u32, u32)],
     counts: &'a mut [u32],
     spans: &'a mut Vec<TileSpan>,
 }
@@ -173,23 +171,27 @@ impl SimdKernel for Chunk<'_> {
             self.depths[k] = if depth.is_finite() { depth } else { 0.0 };
             self.centres[k] = centre;
             self.radii[k] = 0.0;
-            let first = self.spans.len();
             self.counts[k] = match self.projector.shape(self.splats, i) {
                 Some(shape) => {
                     self.radii[k] = shape.radius;
                     self.prints[k] = shape.footprint;
-                    cover(&shape.footprint, shape.tip, self.projector, self.spans)
+                    cover(k as u16, &shape.footprint, shape.tip, self.projector, self.spans)
                 }
                 None => 0,
             };
-            self.spans_of[k] = (first as u32, (self.spans.len() - first) as u32);
         }
     }
 }
 
 /// Adds the tiles that hold a pixel centre of the ellipse where alpha reaches 1/255; returns their number.
 #[inline(always)]
-fn cover(f: &SplatFootprint, tip: f32, projector: &Projector, spans: &mut Vec<TileSpan>) -> u32 {
+fn cover(
+    splat: u16,
+    f: &SplatFootprint,
+    tip: f32,
+    projector: &Projector,
+    spans: &mut Vec<TileSpan>,
+) -> u32 {
     let (right, bottom) = (projector.width as f32 - 1.0, projector.height as f32 - 1.0);
     let top = (f.y - f.reach - 0.5).ceil().max(0.0);
     let low = (f.y + f.reach - 0.5).floor().min(bottom);
@@ -210,6 +212,7 @@ fn cover(f: &SplatFootprint, tip: f32, projector: &Projector, spans: &mut Vec<Ti
         let far = (f.x + f.slope * dr + half(dr) - 0.5).floor().min(right);
         if left <= far {
             let span = TileSpan {
+                splat,
                 row: row as u16,
                 from: (left as usize / WIDTH) as u16,
                 to: (far as usize / WIDTH) as u16,
@@ -237,19 +240,46 @@ fn prefix_sum(counts: &mut [u32]) {
     }
 }
 
-/// Stable radix sort by the first number.
-fn sort_by_key(items: &mut Vec<(u32, u32)>, swap: &mut Vec<(u32, u32)>) {
-    const BITS: u32 = 11;
-    const BUCKETS: usize = 1 << BITS;
-    swap.resize(items.len(), (0, 0));
-    let mut counts = [[0u32; BUCKETS]; 3];
-    for &(key, _) in items.iter() {
-        for pass in 0..3 {
-            counts[pass][(key >> (BITS * pass as u32)) as usize % BUCKETS] += 1;
+/// Working memory of the sort of a tile.
+#[derive(Default)]
+struct TileSort {
+    entries: Vec<TileEntry>,
+    /// The depth's bits, and the position among the entries.
+    order: Vec<(u32, u32)>,
+    swap: Vec<(u32, u32)>,
+}
+
+impl TileSort {
+    /// Sorts the entries of one tile by depth; those of equal depth stay in their order.
+    fn sort(&mut self, tile: &mut [TileEntry], depths: &[f32]) {
+        self.entries.clear();
+        self.entries.extend_from_slice(tile);
+        // Depths are positive, so their bits are in the same order as they are.
+        let keys = tile.iter().map(|entry| depths[entry.splat as usize].to_bits());
+        self.order.clear();
+        self.order.extend(keys.zip(0u32..));
+        if self.order.len() < RADIX {
+            // No two positions are equal, so this is stable.
+            self.order.sort_unstable();
+        } else {
+            sort_by_key(&mut self.order, &mut self.swap);
+        }
+        for (to, &(_, from)) in tile.iter_mut().zip(&self.order) {
+            *to = self.entries[from as usize];
         }
     }
-    for pass in 0..3 {
-        let counts = &mut counts[pass];
+}
+
+/// Stable radix sort by the first number.
+fn sort_by_key(items: &mut Vec<(u32, u32)>, swap: &mut Vec<(u32, u32)>) {
+    swap.resize(items.len(), (0, 0));
+    let mut counts = [[0u32; 256]; 4];
+    for &(key, _) in items.iter() {
+        for (counts, digit) in counts.iter_mut().zip(key.to_le_bytes()) {
+            counts[usize::from(digit)] += 1;
+        }
+    }
+    for (pass, counts) in counts.iter_mut().enumerate() {
         if counts.iter().any(|&count| count as usize == items.len()) {
             continue;
         }
@@ -258,7 +288,7 @@ fn sort_by_key(items: &mut Vec<(u32, u32)>, swap: &mut Vec<(u32, u32)>) {
             sum += std::mem::replace(count, sum);
         }
         for &item in items.iter() {
-            let bucket = &mut counts[(item.0 >> (BITS * pass as u32)) as usize % BUCKETS];
+            let bucket = &mut counts[usize::from(item.0.to_le_bytes()[pass])];
             swap[*bucket as usize] = item;
             *bucket += 1;
         }
@@ -274,5 +304,21 @@ mod tests {
     fn pairs_that_cannot_be_numbered_are_refused_with_their_number() {
         assert_eq!(numbered(&[u32::MAX - 3, 1, 2]), Ok(()));
         assert_eq!(numbered(&[u32::MAX - 3, 2, 2]), Err(1 << 32));
+    }
+
+    #[test]
+    fn a_tile_is_sorted_by_depth_and_splats_of_equal_depth_keep_their_order() {
+        let mut memory = TileSort::default();
+        // The longer lists are sorted digit by digit; of the last, all depths are equal.
+        for (count, depths) in [(0, 1), (1, 1), (RADIX - 1, 40), (RADIX, 40), (5000, 977), (RADIX, 1)] {
+            let depth = |i: usize| 0.01 + (i * 7919 % depths) as f32 * 0.37;
+            let depths: Vec<f32> = (0..2 * count).map(depth).collect();
+            let entry = |i: usize| TileEntry { splat: 2 * i as u32, slot: 3 * i as u32 };
+            let mut tile: Vec<TileEntry> = (0..count).map(entry).collect();
+            let mut wanted = tile.clone();
+            wanted.sort_by(|a, b| depths[a.splat as usize].total_cmp(&depths[b.splat as usize]));
+            memory.sort(&mut tile, &depths);
+            assert_eq!(tile, wanted, "{count} entries");
+        }
     }
 }
