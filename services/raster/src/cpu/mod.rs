@@ -26,10 +26,12 @@ use project::Projector;
 use rayon::prelude::*;
 use segwild_scene::{Camera, Image, Pose, Splats};
 use std::sync::{Mutex, PoisonError};
-use wide::{BlendWide, GatherWide, TileWeights, WIDE};
+use wide::{BLOCK, BlendWide, GatherWide, TileWeights, WIDE};
 
 /// Splats that one task sums or shades.
 const CHUNK: usize = 512;
+/// Numbers that the slots of a gather hold at once (1 GiB), unless one block of channels takes more.
+const GATHERED: usize = 1 << 28;
 
 /// A pool of buffers, reused by later passes.
 #[derive(Default)]
@@ -197,12 +199,63 @@ impl CpuView<'_> {
         FrontLayer { width, height, splats, pixels: best, shares, alpha }
     }
 
+    /// Adds the sums of an image to `out`, `[splat][channel]`, by `at_once` channels: a multiple of [`BLOCK`], or all.
+    fn gather_in_parts(&self, image: &Image, at_once: usize, out: &mut [f32]) {
+        let (count, pixels) = (image.channels, image.width * image.height);
+        for first in (0..count).step_by(at_once.max(1)) {
+            let part = first..count.min(first + at_once);
+            let (planes, many) = (&image.data[part.start * pixels..part.end * pixels], part.len());
+            self.with_slots(many, |slots| {
+                self.gather_planes(planes, many, count >= WIDE, SharedSlice::new(slots));
+                out.par_chunks_mut(CHUNK * count).enumerate().for_each(|(chunk, out)| {
+                    for (k, out) in out.chunks_exact_mut(count).enumerate() {
+                        let i = chunk * CHUNK + k;
+                        let (from, to) = (self.bins.slots[i] as usize, self.bins.slots[i + 1] as usize);
+                        for slot in slots[from * many..to * many].chunks_exact(many) {
+                            for (sum, x) in out[part.clone()].iter_mut().zip(slot) {
+                                *sum += x;
+                            }
+                        }
+                    }
+                });
+            });
+        }
+    }
+
+    /// Sums of `count` planes per splat and tile, into the slots: by channels where `wide`, else by pixels.
+    fn gather_planes(&self, planes: &[f32], count: usize, wide: bool, slots: SharedSlice) {
+        (0..self.tiles()).into_par_iter().for_each_init(TileWeights::default, |memory, tile| {
+            let (isa, task) = (self.engine.isa, self.task(tile, planes, count));
+            if wide {
+                return simd::run(isa, GatherWide { task, slots, memory });
+            }
+            let mut first = 0;
+            while first < count {
+                let left = count - first;
+                match left {
+                    1 => simd::run(isa, Gather::<1> { task, first, slots }),
+                    2 => simd::run(isa, Gather::<2> { task, first, slots }),
+                    3 => simd::run(isa, Gather::<3> { task, first, slots }),
+                    _ => simd::run(isa, Gather::<4> { task, first, slots }),
+                }
+                first += left.min(4);
+            }
+        });
+    }
+
     fn assert_image(&self, image: &Image, channels: usize, what: &str) {
         let size = (image.width, image.height, image.channels);
         let wanted = (self.projector.width, self.projector.height, channels);
         assert_eq!(size, wanted, "{what}: width, height, channels");
         assert_eq!(image.data.len(), image.width * image.height * image.channels, "{what}: numbers");
     }
+}
+
+/// How many of `count` channels a gather over so many pairs of a splat and a tile sums at once, so that its slots stay
+/// within [`GATHERED`].
+fn gathered_at_once(pairs: usize, count: usize) -> usize {
+    let most = GATHERED / pairs.max(1);
+    if count <= most { count } else { (most / BLOCK).max(1) * BLOCK }
 }
 
 impl Projected for CpuView<'_> {
@@ -261,42 +314,7 @@ impl Projected for CpuView<'_> {
         let count = image.channels;
         self.assert_image(image, count, "gather");
         let mut out = vec![0.0; self.splats.len() * count];
-        if count == 0 {
-            return Ok(out);
-        }
-        self.with_slots(count, |slots| {
-            let shared = SharedSlice::new(slots);
-            (0..self.tiles()).into_par_iter().for_each_init(TileWeights::default, |memory, tile| {
-                let task = self.task(tile, &image.data, count);
-                if count >= WIDE {
-                    let wide = GatherWide { task, slots: shared, memory };
-                    return simd::run(self.engine.isa, wide);
-                }
-                let mut first = 0;
-                while first < count {
-                    let (isa, slots) = (self.engine.isa, shared);
-                    let left = count - first;
-                    match left {
-                        1 => simd::run(isa, Gather::<1> { task, first, slots }),
-                        2 => simd::run(isa, Gather::<2> { task, first, slots }),
-                        3 => simd::run(isa, Gather::<3> { task, first, slots }),
-                        _ => simd::run(isa, Gather::<4> { task, first, slots }),
-                    }
-                    first += left.min(4);
-                }
-            });
-            out.par_chunks_mut(CHUNK * count).enumerate().for_each(|(chunk, out)| {
-                for (k, out) in out.chunks_exact_mut(count).enumerate() {
-                    let i = chunk * CHUNK + k;
-                    let (from, to) = (self.bins.slots[i] as usize, self.bins.slots[i + 1] as usize);
-                    for slot in slots[from * count..to * count].chunks_exact(count) {
-                        for (sum, x) in out.iter_mut().zip(slot) {
-                            *sum += x;
-                        }
-                    }
-                }
-            });
-        });
+        self.gather_in_parts(image, gathered_at_once(self.bins.pairs(), count), &mut out);
         Ok(out)
     }
 
@@ -443,5 +461,54 @@ impl ValueRows {
             rest = tail;
         }
         parts.into_par_iter()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_slots_of_a_gather_are_bounded_for_millions_of_pairs() {
+        assert_eq!(gathered_at_once(0, 64), 64);
+        assert_eq!(gathered_at_once(4_000_000, 64), 64);
+        assert_eq!(gathered_at_once(20_000_000, 64), BLOCK, "one block at least");
+        assert_eq!(gathered_at_once(20_000_000, 3), 3);
+        for (pairs, count) in [(1 << 20, 384), (3_000_000, 128), (5_000_000, 1000)] {
+            let at_once = gathered_at_once(pairs, count);
+            assert!(at_once < count && at_once % BLOCK == 0, "{at_once} of {count}");
+            assert!(pairs * at_once <= GATHERED && pairs * (at_once + BLOCK) > GATHERED, "{at_once}");
+        }
+    }
+
+    #[test]
+    fn channels_gathered_in_parts_are_the_same_bytes() {
+        let at = |i: usize, k: usize| ((i * 31 + k * 17) % 23) as f32 / 23.0 - 0.5;
+        let n = 200;
+        let splats = Splats {
+            means: (0..n).map(|i| [at(i, 0), at(i, 1), 1.5 + at(i, 2)]).collect(),
+            log_scales: (0..n).map(|i| [-3.5 + at(i, 3), -3.0, -4.0 + at(i, 4)]).collect(),
+            rotations: (0..n).map(|i| [1.0, at(i, 5), at(i, 6), at(i, 7)]).collect(),
+            opacities: (0..n).map(|i| 4.0 * at(i, 8)).collect(),
+            sh: vec![0.0; 3 * n],
+            ..Splats::default()
+        };
+        let camera = Camera { width: 70, height: 40, fx: 60.0, fy: 60.0, cx: 35.0, cy: 20.0 };
+        let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
+        let engine = CpuEngine::new();
+        let options = ProjectOptions::default();
+        let view = engine.view(&splats, &camera, &pose, &options).expect("it can be rendered");
+        // The last part is narrower than what is gathered by pixels when it is alone.
+        let count = 2 * BLOCK + 3;
+        let data = (0..70 * 40 * count).map(|i| at(i, 9)).collect();
+        let image = Image { width: 70, height: 40, channels: count, data };
+        let [whole, parts] = [count, BLOCK].map(|at_once| {
+            let mut out = vec![0.0; n * count];
+            view.gather_in_parts(&image, at_once, &mut out);
+            out
+        });
+        assert!(whole.iter().any(|&sum| sum != 0.0), "splats are in sight");
+        let bits = |sums: &[f32]| sums.iter().map(|sum| sum.to_bits()).collect::<Vec<_>>();
+        assert!(bits(&whole) == bits(&parts), "in parts and at once");
     }
 }

@@ -13,7 +13,7 @@ use super::tile::{PixelBlock, STRIDE, TilePlane, TileVisitor, walk};
 /// From this many channels on it pays.
 pub(crate) const WIDE: usize = 8;
 /// Channels worked off at a time: a tile of them fills the first-level cache, four registers hold them.
-const BLOCK: usize = 4 * LANES;
+pub(crate) const BLOCK: usize = 4 * LANES;
 /// Most blocks of pixels of one splat in one tile.
 const MOST: usize = HEIGHT * (WIDTH / LANES);
 
