@@ -23,7 +23,7 @@ pub fn open_plain(path: &Path) -> Result<File> {
     Err(Error::new(ErrorKind::InvalidInput, format!("it is {what}, not a file")))
 }
 
-/// Most bytes of a file that is read whole. Records hold at most 1 GiB; a file of holes may claim anything.
+/// Most bytes of a file that is read whole where nothing says how many it may have; a file of holes may claim anything.
 const MOST: u64 = 2 << 30;
 
 /// All bytes of a file, which is opened as by [`open_plain`].

@@ -275,7 +275,7 @@ impl Cache {
 
     fn read(&self, key: &Key) -> Result<Option<Vec<u8>>, CacheError> {
         let path = self.path(key);
-        let mut bytes = match files::read_plain(&path) {
+        let mut bytes = match codec::read_file(&path) {
             Ok(bytes) => bytes,
             Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(e) => return Err(FileError::new("read", &path, e).into()),

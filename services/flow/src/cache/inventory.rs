@@ -82,7 +82,7 @@ impl Cache {
     /// # Errors
     /// When the file cannot be read.
     pub fn verify(&self, artefact: &Artefact) -> Result<Option<&'static str>, CacheError> {
-        let bytes = match crate::files::read_plain(&artefact.path) {
+        let bytes = match crate::codec::read_file(&artefact.path) {
             Ok(bytes) => bytes,
             Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(e) => return Err(FileError::new("read", &artefact.path, e).into()),

@@ -60,7 +60,7 @@ impl Keeper<'_> {
             if known.iter().any(|row| row.file == file) {
                 continue;
             }
-            let Ok(bytes) = files::read_plain(&entry.path()) else { continue };
+            let Ok(bytes) = codec::read_file(&entry.path()) else { continue };
             self.ledger.record_checkpoint(&CheckpointRow::new(
                 "geometry",
                 self.key,
@@ -92,7 +92,7 @@ impl Keeper<'_> {
                 damaged.push((row.file.into(), "the ledger names a file elsewhere".to_owned()));
                 continue;
             };
-            let read = files::read_plain(&path).map_err(|e| e.to_string()).and_then(|bytes| {
+            let read = codec::read_file(&path).map_err(|e| e.to_string()).and_then(|bytes| {
                 if !row.fits(&bytes) {
                     return Err("its content has changed".into());
                 }

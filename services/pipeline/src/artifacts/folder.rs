@@ -326,7 +326,7 @@ impl RunFolder {
 
     pub(crate) fn read_record<T: codec::Decode>(&self, name: &str, kind: &str) -> Result<T, RunError> {
         let path = self.path.join(name);
-        let bytes = files::read_plain(&path).map_err(|error| match error.kind() {
+        let bytes = codec::read_file(&path).map_err(|error| match error.kind() {
             ErrorKind::NotFound => {
                 let reason =
                     "this part of the run is not done yet; `segwild run` with the same folder continues it";

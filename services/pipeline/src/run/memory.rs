@@ -5,6 +5,7 @@
 //! the size of one photo, plus four caches with limits of their own, which shrink to fit the budget.
 
 use crate::{RunError, Settings};
+use segwild_flow::codec::SIZE_LIMIT;
 use segwild_objective::{EmbedAppearance, GswAppearance};
 use segwild_scene::{Scene, View};
 use segwild_trainer::{AppearanceModel, LpipsNet, TrainSettings, splat_cap, stereo_bytes};
@@ -20,7 +21,9 @@ const PER_OBSERVATION: f64 = 60.0;
 /// Copies of a splat's parameters while a checkpoint is written: they and Adam's two moments in the trainer, in the
 /// checkpoint and in its bytes, gradients, snapshot.
 const COPIES: f64 = 12.0;
-/// The same for imported splats: the file's bytes, the splats as read and as placed, the model, its bytes in the cache.
+/// Copies of a splat's parameters in a checkpoint: they and Adam's two moments.
+const CHECKPOINT_COPIES: f64 = 3.0;
+/// The same as [`COPIES`] for imported splats: the file's bytes, the splats as read and as placed, the model, its bytes in the cache.
 const IMPORT_COPIES: f64 = 5.0;
 /// Bytes per splat beside its parameters: projection, statistics.
 const PER_SPLAT: f64 = 200.0;
@@ -264,6 +267,32 @@ pub(crate) fn fits_accelerator(settings: &Settings, scene: &Scene) -> Result<(),
     )))
 }
 
+/// Refuses more splats than a record of the run can hold: the first checkpoint could not be written.
+///
+/// # Errors
+/// In words, with the numbers.
+pub(crate) fn fits_records(settings: &Settings, scene: &Scene) -> Result<(), RunError> {
+    let (degree, embedding, copies) = match &scene.imported {
+        Some(imported) => (imported.file.sh_degree, 0.0, 1.0),
+        None => {
+            let (embedding, _) = appearance_memory(&settings.train, scene.views.len());
+            (settings.train.sh_degree, embedding, CHECKPOINT_COPIES)
+        }
+    };
+    let parameters = 11.0 + 3.0 * f64::from((degree + 1).pow(2)) + embedding;
+    let numbers = (parameters * copies).max(f64::from(settings.features.channels));
+    let (splats, most) = (most_splats(settings, scene), SIZE_LIMIT as f64);
+    let bytes = 4.0 * numbers * splats as f64;
+    if bytes <= most {
+        return Ok(());
+    }
+    Err(RunError::Request(format!(
+        "{splats} splats take {:.0} MiB of one file of the run, which holds at most {:.0} MiB: lower --splats, or import fewer",
+        bytes / MIB,
+        most / MIB
+    )))
+}
+
 /// Pixels of the largest photo.
 fn pixels(settings: &Settings, scene: &Scene) -> usize {
     let cameras = scene.views.iter().map(|v| v.camera.scaled_to(settings.scene.size));
@@ -395,6 +424,19 @@ mod tests {
         }
         settings.run.memory_budget = 8000;
         assert!(fits_accelerator(&settings, &scene).is_ok());
+    }
+
+    #[test]
+    fn five_million_splats_fit_a_checkpoint_and_more_than_fit_are_refused_before_the_training() {
+        let scene = scene(Vec::new());
+        let mut settings = Settings::default();
+        settings.train.splats = 5_000_000;
+        fits_records(&settings, &scene).expect("five million splats can be stored");
+        settings.train.splats = 20_000_000;
+        let refused = fits_records(&settings, &scene).expect_err("too many").to_string();
+        for word in ["20000000 splats", "at most 8192 MiB", "--splats"] {
+            assert!(refused.contains(word), "{refused}");
+        }
     }
 
     #[test]

@@ -116,7 +116,9 @@ pub fn prepare(
     );
 
     let steps_open = settings.steps_open(&scene);
-    let mut settings = memory::within_budget(&settings.decided(&scene), &scene)?;
+    let decided = settings.decided(&scene);
+    memory::fits_records(&decided, &scene)?;
+    let mut settings = memory::within_budget(&decided, &scene)?;
     let providers = providers_of(folder, &settings, options)?;
     settings.allow_remote_calls(providers.remote_calls);
     intake.provider.clone_from(&providers.name);

@@ -5,7 +5,7 @@ use super::shown::{SHOWN, pass, spread};
 use crate::artifacts::folder::Loaded;
 use crate::output::render::{Mode, RenderContent, SceneRenderer};
 use crate::{ObjectList, RunError, RunFolder, Selected};
-use segwild_flow::{FileError, files};
+use segwild_flow::{FileError, codec};
 use segwild_raster::Rasterizer;
 use segwild_scene::Image;
 use segwild_segmenter::{SelectionConfidence, ShownSide, counted};
@@ -68,7 +68,7 @@ pub(super) fn start_of_objects(folder: &RunFolder) -> Result<String, RunError> {
     hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
     for name in ["segwild.toml", "model.bin", "features.bin"] {
         let path = folder.path().join(name);
-        let bytes = match files::read_plain(&path) {
+        let bytes = match codec::read_file(&path) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
                 return Err(FileError::new("read", &path, error).into());
             }

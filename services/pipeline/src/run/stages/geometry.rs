@@ -15,7 +15,7 @@ use crate::run::situation::{KeptResults, Situation};
 use crate::run::stage::Stage;
 use crate::run::work::{ActorStage, Actors, StageState};
 use segwild_flow::ledger::ViewOutcome;
-use segwild_flow::{ActorFailure, Phase, files};
+use segwild_flow::{ActorFailure, Phase, codec};
 use segwild_scene::ReaderError;
 use segwild_trainer::{FindCheckpoint, Model, Photos, Sifted, TrainOrder, TrainOutcome, TrainPhoto};
 use std::sync::Arc;
@@ -310,7 +310,7 @@ fn verdict(now: &Situation, kept: &KeptResults<'_>) -> Result<StageVerdict, RunE
         let rows = ledger.checkpoints(Stage::Geometry.name(), &now.keys.training)?;
         // A run passes over checkpoints that are gone or whose content has changed.
         let whole = rows.iter().filter(|row| {
-            let bytes = folder.checkpoint(row).and_then(|path| files::read_plain(&path).ok());
+            let bytes = folder.checkpoint(row).and_then(|path| codec::read_file(&path).ok());
             bytes.is_some_and(|bytes| blake3::hash(&bytes).to_hex().as_str() == row.digest)
         });
         // Without the snapshot, the training has to pass the snapshot step again.
