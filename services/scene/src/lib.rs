@@ -39,6 +39,7 @@ mod endings;
 mod error;
 mod export;
 mod frame;
+pub mod half;
 mod image;
 mod import;
 mod keep_masks;
