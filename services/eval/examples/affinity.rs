@@ -132,7 +132,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let of_object = mean(&mut object.iter().map(|&i| {
         let row = features.row(i);
-        let norm = dot(row, row).sqrt().max(1e-12);
+        let norm = dot(&row, &row).sqrt().max(1e-12);
         row.iter().map(|v| v / norm * (light[i][0] + light[i][1])).collect()
     }));
     let mut rows: [Row; 6] = Default::default();

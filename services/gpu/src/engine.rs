@@ -14,7 +14,7 @@ use crate::view::GpuProjected;
 use segwild_objective::field::{DeviceLifting, DeviceRefinement, FeatureTarget, FieldRefinement, Queries};
 use segwild_objective::{DeviceTraining, TrainingSplats};
 use segwild_objective::{FieldBackend, TrainingBackend};
-use segwild_raster::{Channels, ProjectOptions, Projected, RasterError, Rasterizer, ResidentChannels, check};
+use segwild_raster::{Channels, ProjectOptions, Projected, RasterError, Rasterizer, check};
 use segwild_scene::{Camera, Pose, Splats};
 use std::any::Any;
 use std::sync::Arc;
@@ -135,10 +135,10 @@ impl FieldBackend for GpuEngine {
 
     fn similarity(
         &self,
-        features: &ResidentChannels,
+        features: &(dyn Any + Send + Sync),
         queries: &Queries,
     ) -> Result<Option<Vec<f32>>, RasterError> {
-        let resident = features.on_device().and_then(|on_device| on_device.downcast_ref::<GpuChannels>());
+        let resident = features.downcast_ref::<GpuChannels>();
         match resident.filter(|resident| resident.is_on(&self.device)) {
             Some(resident) => if_it_fits(resident.similarity(queries)),
             None => Ok(None),

@@ -3,7 +3,7 @@
 
 use crate::field::{DeviceLifting, DeviceRefinement, FeatureTarget, FieldRefinement, Lifting, Queries};
 use crate::{DeviceTraining, TrainingSplats};
-use segwild_raster::{CpuEngine, RasterError, Rasterizer, ResidentChannels};
+use segwild_raster::{CpuEngine, RasterError, Rasterizer};
 use std::any::Any;
 
 /// Trains splats on its device.
@@ -48,10 +48,11 @@ pub trait FieldBackend: Send + Sync {
         Ok(None)
     }
 
-    /// [`score`](crate::field::score) of features that were uploaded; `None` where they were not.
+    /// [`score`](crate::field::score) of the features that [`Rasterizer::upload_channels`] returned; `None` where they are on
+    /// another device.
     fn similarity(
         &self,
-        _features: &ResidentChannels,
+        _features: &(dyn Any + Send + Sync),
         _queries: &Queries,
     ) -> Result<Option<Vec<f32>>, RasterError> {
         Ok(None)

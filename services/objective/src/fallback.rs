@@ -89,7 +89,7 @@ impl<F: Fn(&str) + Send + Sync> TrainingBackend for FallbackEngine<F> {}
 impl<F: Fn(&str) + Send + Sync> FieldBackend for FallbackEngine<F> {
     fn similarity(
         &self,
-        features: &ResidentChannels,
+        features: &(dyn Any + Send + Sync),
         queries: &Queries,
     ) -> Result<Option<Vec<f32>>, RasterError> {
         self.either(|| self.first.similarity(features, queries), || self.second.similarity(features, queries))

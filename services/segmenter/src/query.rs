@@ -5,20 +5,29 @@ use glam::Vec2;
 use rayon::prelude::*;
 use segwild_objective::FieldBackend;
 use segwild_objective::field::{Queries, dot, score};
-use segwild_raster::{ProjectOptions, Rasterizer, ResidentChannels};
+use segwild_raster::{Channels, ProjectOptions, Rasterizer};
+use segwild_scene::half::{from_half, to_half};
 use segwild_scene::{Camera, Image, Pose, Splats};
+use std::any::Any;
 
-/// Rows that one task scores: fixed, so that nothing depends on the number of threads.
-const ROWS: usize = 2048;
+/// Rows that one task scores. Their numbers of 32 bits fit the second-level cache for the usual widths.
+const ROWS: usize = 512;
 
-/// One feature vector per splat, ready for similarity queries.
+/// Lanes of a dot product of rows: sums are formed per lane and added in one fixed order.
+const LANES: usize = 16;
+
+/// One feature vector per splat, ready for similarity queries. The numbers are rounded to 16 bits: beside the splats they are
+/// the largest array of a session.
 pub struct SplatFeatures {
-    features: ResidentChannels<'static>,
+    channels: usize,
+    /// `[splat][channel]`, flat, as [`to_half`] gives them.
+    halves: Vec<u16>,
     inverse_norms: Vec<f32>,
+    on_device: Option<Box<dyn Any + Send + Sync>>,
 }
 
 impl SplatFeatures {
-    /// Takes `values[splat][channel]`, flat. Rows that are zero or hold a NaN or an infinity resemble nothing.
+    /// Takes `values[splat][channel]`, flat. Rows that are zero or hold a NaN or a number beyond 65504 resemble nothing.
     pub fn new(channels: usize, values: Vec<f32>) -> Result<SplatFeatures, SegmentError> {
         if channels == 0 || !values.len().is_multiple_of(channels) {
             return Err(SegmentError::Shape(format!(
@@ -26,21 +35,32 @@ impl SplatFeatures {
                 values.len()
             )));
         }
-        let inverse_norms = values
+        let halves: Vec<u16> = values.par_iter().map(|&value| to_half(value)).collect();
+        let inverse_norms = halves
             .par_chunks(channels * ROWS)
-            .flat_map_iter(|rows| rows.chunks_exact(channels).map(|row| inverse_norm(dot(row, row))))
+            .flat_map_iter(|rows| {
+                rows.chunks_exact(channels).map(|row| inverse_norm(dot_rows(row, row, from_half)))
+            })
             .collect();
-        Ok(SplatFeatures { features: ResidentChannels::new(channels, values), inverse_norms })
+        Ok(SplatFeatures { channels, halves, inverse_norms, on_device: None })
     }
 
     /// Uploads the values to an engine that keeps them on its device: similarities are then computed there.
     pub fn upload(&mut self, engine: &dyn Rasterizer) -> Result<(), SegmentError> {
-        self.features.upload(engine).map_err(SegmentError::raster("the features"))
+        let values = self.values();
+        let channels = Channels { count: self.channels, values: &values };
+        self.on_device = engine.upload_channels(&channels).map_err(SegmentError::raster("the features"))?;
+        Ok(())
     }
 
     /// Numbers per splat.
     pub fn channels(&self) -> usize {
-        self.features.on_host().count
+        self.channels
+    }
+
+    /// Bytes that they take in the host's memory.
+    pub fn bytes(&self) -> usize {
+        size_of_val(self.halves.as_slice()) + size_of_val(self.inverse_norms.as_slice())
     }
 
     /// Number of splats.
@@ -53,21 +73,28 @@ impl SplatFeatures {
         self.inverse_norms.is_empty()
     }
 
-    /// The values, `[splat][channel]`, flat.
-    pub fn values(&self) -> &[f32] {
-        self.features.on_host().values
+    /// The values as they were rounded, `[splat][channel]`, flat.
+    pub fn values(&self) -> Vec<f32> {
+        self.halves.par_iter().map(|&half| from_half(half)).collect()
     }
 
     /// One splat's vector.
-    pub fn row(&self, splat: usize) -> &[f32] {
-        let channels = self.channels();
-        &self.values()[splat * channels..(splat + 1) * channels]
+    pub fn row(&self, splat: usize) -> Vec<f32> {
+        self.halves_of(splat).iter().map(|&half| from_half(half)).collect()
+    }
+
+    fn halves_of(&self, splat: usize) -> &[u16] {
+        &self.halves[splat * self.channels..(splat + 1) * self.channels]
     }
 
     /// Cosine of two splats' vectors, in [-1, 1]; 0 where one has no direction.
     pub fn cosine(&self, a: usize, b: usize) -> f32 {
         let scale = self.inverse_norms[a] * self.inverse_norms[b];
-        if scale > 0.0 { (dot(self.row(a), self.row(b)) * scale).clamp(-1.0, 1.0) } else { 0.0 }
+        if scale > 0.0 {
+            (dot_rows(self.halves_of(a), self.halves_of(b), from_half) * scale).clamp(-1.0, 1.0)
+        } else {
+            0.0
+        }
     }
 
     /// Whether a splat's vector has a direction.
@@ -78,12 +105,12 @@ impl SplatFeatures {
     /// Adds `weight` times a splat's unit vector.
     pub(crate) fn add_direction(&self, splat: usize, weight: f32, sum: &mut [f32]) {
         let scale = weight * self.inverse_norms[splat];
-        sum.iter_mut().zip(self.row(splat)).for_each(|(sum, x)| *sum += scale * x);
+        sum.iter_mut().zip(self.halves_of(splat)).for_each(|(sum, &half)| *sum += scale * from_half(half));
     }
 
     /// Cosine of a splat's vector and a unit vector.
     pub(crate) fn cosine_to(&self, splat: usize, unit: &[f32]) -> f32 {
-        dot(self.row(splat), unit) * self.inverse_norms[splat]
+        dot_rows(self.halves_of(splat), unit, |x| x) * self.inverse_norms[splat]
     }
 
     /// Fused similarity of every splat to some clicks: `sum_i softmax_i(s_i / temperature) s_i`, `s_i` the cosine to click
@@ -125,18 +152,38 @@ impl SplatFeatures {
             queries.push(click.iter().map(|x| x * scale).collect::<Vec<f32>>());
         }
         let queries = Queries { channels, units: &queries, sharpness: 1.0 / temperature };
-        let on_device = engine.similarity(&self.features, &queries);
-        if let Some(fused) = on_device.map_err(SegmentError::raster("the features"))? {
-            return Ok(fused);
+        if let Some(features) = &self.on_device {
+            let fused = engine.similarity(&**features, &queries);
+            if let Some(fused) = fused.map_err(SegmentError::raster("the features"))? {
+                return Ok(fused);
+            }
         }
         let mut fused = vec![0.0; self.len()];
-        let rows = self.values().par_chunks(ROWS * channels).zip(self.inverse_norms.par_chunks(ROWS));
-        fused
-            .par_chunks_mut(ROWS)
-            .zip(rows)
-            .for_each(|(out, (values, norms))| score(&queries, values, norms, out));
+        let rows = self.halves.par_chunks(ROWS * channels).zip(self.inverse_norms.par_chunks(ROWS));
+        fused.par_chunks_mut(ROWS).zip(rows).for_each_init(
+            Vec::new,
+            |values: &mut Vec<f32>, (out, (halves, norms))| {
+                values.clear();
+                values.extend(halves.iter().map(|&half| from_half(half)));
+                score(&queries, values, norms, out);
+            },
+        );
         Ok(fused)
     }
+}
+
+/// Dot product of a row of 16-bit numbers and another row, whose numbers `read` gives. The order of additions is fixed.
+#[inline(always)]
+fn dot_rows<T: Copy>(row: &[u16], other: &[T], read: impl Fn(T) -> f32) -> f32 {
+    let ((a, a_rest), (b, b_rest)) = (row.as_chunks::<LANES>(), other.as_chunks::<LANES>());
+    let mut lanes = [0.0f32; LANES];
+    for (x, y) in a.iter().zip(b) {
+        for l in 0..LANES {
+            lanes[l] += from_half(x[l]) * read(y[l]);
+        }
+    }
+    let rest: f32 = a_rest.iter().zip(b_rest).map(|(&x, &y)| from_half(x) * read(y)).sum();
+    lanes.iter().sum::<f32>() + rest
 }
 
 /// `1 / sqrt(square)`, or 0 where that is no usable number.
@@ -164,7 +211,7 @@ impl ClickHit {
             let row = field.row(splat as usize);
             if row.iter().all(|x| x.is_finite()) {
                 weight += f64::from(share);
-                for (sum, &x) in sum.iter_mut().zip(row) {
+                for (sum, x) in sum.iter_mut().zip(row) {
                     *sum += f64::from(share) * f64::from(x);
                 }
             }

@@ -116,7 +116,10 @@ fn resemblance(
     score(&queries, &values, &norms, &mut wanted);
     let mut resident = ResidentChannels::new(channels, values);
     resident.upload(engine)?;
-    let got = engine.similarity(&resident, &queries)?;
+    let got = match resident.on_device() {
+        Some(features) => engine.similarity(features, &queries)?,
+        None => None,
+    };
     Ok(got
         .ok_or(Mismatch::NotResident)
         .and_then(|got| Tolerance::PROJECTED.compare("similarity of rows to the queries", &got, &wanted)))

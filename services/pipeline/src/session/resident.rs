@@ -62,6 +62,8 @@ pub struct Session {
     pub(super) model: Model,
     /// Its splats, for those that outlast a request or work beside it: the segmenter, and clients that take them slowly.
     pub(super) splats: Arc<Splats>,
+    /// Bytes that the segmenter's features take.
+    pub(super) feature_bytes: usize,
     pub(super) engine: Arc<dyn Engine>,
     pub(super) providers: Providers,
     /// Key of the training.
@@ -128,6 +130,7 @@ impl Session {
             }
             None => None,
         };
+        let feature_bytes = features.as_ref().map_or(0, |features| features.bytes());
         let scene = Arc::new(scene);
         // A folder that cannot be written is no obstacle: its photos are decoded again.
         let cache = Cache::at(folder.path().join("cache"));
@@ -189,6 +192,7 @@ impl Session {
             photos,
             model,
             splats,
+            feature_bytes,
             engine,
             providers,
             training,

@@ -69,7 +69,7 @@ impl Session {
             camera.width as usize * camera.height as usize
         };
         let photos: usize = (0..self.scene.views.len()).map(|view| PIXEL_BYTES * pixels(view)).sum();
-        2 * of_splats + GROUP_BYTES * groups + photos.min(PHOTO_BYTES)
+        2 * of_splats + self.feature_bytes + GROUP_BYTES * groups + photos.min(PHOTO_BYTES)
     }
 
     /// Long side in pixels at which photos are worked with.

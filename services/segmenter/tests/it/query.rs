@@ -33,9 +33,23 @@ proptest! {
         let field = SplatFeatures::new(channels, values).unwrap();
         let got = field.similarity(&CpuEngine::new(), &clicks, temperature).unwrap();
         for i in 0..rows {
-            let want = reference(field.row(i), &clicks, f64::from(temperature));
+            let want = reference(&field.row(i), &clicks, f64::from(temperature));
             prop_assert!((f64::from(got[i]) - want).abs() < 1e-4 + 1e-4 / f64::from(temperature), "{} for {}", got[i], want);
         }
+    }
+}
+
+#[test]
+fn features_are_kept_in_16_bits_and_cosines_are_those_of_the_rounded_numbers() {
+    let values: Vec<f32> = (0..40 * 33).map(|i| ((i * 7919 % 1013) as f32 - 500.0) * 1e-3).collect();
+    let field = SplatFeatures::new(33, values.clone()).unwrap();
+    assert_eq!(field.bytes(), 40 * (2 * 33 + 4));
+    let rounded = field.values();
+    assert!(rounded.iter().zip(&values).all(|(a, b)| (a - b).abs() <= b.abs() / 2048.0));
+    assert_eq!(SplatFeatures::new(33, rounded).unwrap().values(), field.values(), "rounding twice is rounding once");
+    for i in 1..field.len() {
+        let want = reference(&field.row(0), &[field.row(i)], 1.0);
+        assert!((f64::from(field.cosine(0, i)) - want).abs() < 1e-5, "{want}");
     }
 }
 

@@ -120,7 +120,7 @@ fn a_click_reads_what_the_full_render_shows_and_opacity_does_not_matter() {
     };
     let (feature, alpha) = read(&world.splats);
     let projected = engine.project(&world.splats, &view.camera, &view.pose, &options()).unwrap();
-    let frame = projected.blend(&segwild_raster::Channels { count: 8, values: field.values() }).unwrap();
+    let frame = projected.blend(&segwild_raster::Channels { count: 8, values: &field.values() }).unwrap();
     let a = frame.alpha.at(0, 70, 52);
     assert!((a - alpha).abs() < 1e-4);
     for c in 0..8 {
@@ -186,7 +186,7 @@ fn clicks_that_cannot_be_served_are_refused_in_words() {
 fn features_that_are_no_numbers_change_nothing_but_themselves() {
     let (world, view) = walls();
     let (engine, mask, field) = (engine(), front_mask(&world, &view), features(&world, 8));
-    let mut values = field.values().to_vec();
+    let mut values = field.values();
     for i in (0..world.len()).step_by(9) {
         values[i * 8 + 3] = f32::NAN;
     }
