@@ -109,6 +109,23 @@ impl CpuEngine {
     ) -> Result<FrontLayer, RasterError> {
         Ok(self.view(splats, camera, pose, options)?.front())
     }
+
+    /// The same, and the view that it is of, which other passes need not project again.
+    ///
+    /// # Errors
+    /// As [`Rasterizer::project`].
+    pub fn project_with_front<'a>(
+        &'a self,
+        splats: &'a Splats,
+        camera: &Camera,
+        pose: &Pose,
+        options: &ProjectOptions,
+    ) -> Result<(Box<dyn Projected + 'a>, FrontLayer), RasterError> {
+        let view = self.view(splats, camera, pose, options)?;
+        let front = view.front();
+        let projected: Box<dyn Projected + 'a> = Box::new(view);
+        Ok((projected, front))
+    }
 }
 
 impl Rasterizer for CpuEngine {

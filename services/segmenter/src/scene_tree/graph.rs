@@ -6,7 +6,7 @@ use crate::coverage::unoccluded;
 use crate::seen_once::ShownCounter;
 use crate::{NeighbourGraph, PosedView, SegmentError};
 use rayon::prelude::*;
-use segwild_raster::{Channels, CpuEngine, Frame, FrontLayer, NO_SPLAT, ProjectOptions, Rasterizer};
+use segwild_raster::{Channels, CpuEngine, Frame, FrontLayer, NO_SPLAT, ProjectOptions};
 use segwild_scene::statistics::median;
 use segwild_scene::{Image, Splats};
 use segwild_vision::ContourTree;
@@ -217,8 +217,8 @@ impl<'a> TreeBuilder<'a> {
         let camera = view.camera.resized(width as u32, height as u32);
         let raster = || SegmentError::raster(&view.name);
         let (splats, options) = (self.splats, &self.options);
-        let front = self.engine.front(splats, &camera, &view.pose, options).map_err(raster())?;
-        let projected = self.engine.project(splats, &camera, &view.pose, options).map_err(raster())?;
+        let (projected, front) =
+            self.engine.project_with_front(splats, &camera, &view.pose, options).map_err(raster())?;
         let light = projected.gather(&Image::filled(width, height, 1, 1.0)).map_err(raster())?;
         let inverse: Vec<f32> =
             projected.depths().iter().map(|&z| if z > 0.0 { 1.0 / z } else { 0.0 }).collect();
