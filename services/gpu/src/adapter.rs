@@ -188,6 +188,19 @@ mod tests {
     }
 
     #[test]
+    fn arrays_may_be_as_long_as_the_adapter_binds_and_not_only_what_webgpu_promises() {
+        // The moments of 40 million pairs: a view of five million splats.
+        let moments = 40_000_000 * size_of::<[f32; 8]>() as u64;
+        let least = Limits::default();
+        assert!(moments > least.max_storage_buffer_binding_size && moments > least.max_buffer_size);
+        let large = u64::from(u32::MAX) - 3;
+        let available = Limits { max_storage_buffer_binding_size: large, max_buffer_size: large, ..least };
+        let limits = wanted(&llvmpipe(), &available).expect("it offers more than is needed");
+        assert_eq!((limits.max_storage_buffer_binding_size, limits.max_buffer_size), (large, large));
+        assert!(moments <= limits.max_storage_buffer_binding_size);
+    }
+
+    #[test]
     fn a_limit_that_is_too_small_is_named_with_its_number() {
         let available = Limits { max_storage_buffers_per_shader_stage: 4, ..Limits::default() };
         let error = wanted(&llvmpipe(), &available).expect_err("four buffers are too few");

@@ -7,6 +7,7 @@
 use crate::GpuError;
 use crate::adapter::{Adapter, AdapterChoice, open};
 use crate::clock::KernelClock;
+use crate::groups::rows_of;
 use crate::shaders::{Kernel, source};
 use bytemuck::Pod;
 use std::collections::{BTreeMap, HashMap};
@@ -18,8 +19,6 @@ use wgpu::{BufferUsages, ComputePipeline};
 const JOBS: usize = 256;
 /// Distance of two jobs' numbers in the arena.
 const JOB_STRIDE: u64 = 256;
-/// Groups per dimension that every device offers.
-const GROUPS: u64 = 65_535;
 
 /// Locks even after a panic of another thread: no state here is left half written.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -352,8 +351,8 @@ impl DeviceWork<'_> {
         });
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, &group, &[]);
-        let columns = (groups as u64).min(GROUPS);
-        pass.dispatch_workgroups(columns as u32, (groups as u64).div_ceil(columns) as u32, 1);
+        let [columns, rows] = rows_of(groups);
+        pass.dispatch_workgroups(columns, rows, 1);
     }
 
     /// Submits the recorded kernels to the device, which runs them in this order.
