@@ -148,8 +148,10 @@ impl Splats {
             means: self.means.iter().map(|&[x, y, z]| [a * x, b * y, c * z]).collect(),
             // The axes of a splat have no direction: the signs of two of them may change as well.
             rotations: self.rotations.iter().map(|&[w, x, y, z]| [w, a * x, b * y, c * z]).collect(),
+            log_scales: self.log_scales.clone(),
+            opacities: self.opacities.clone(),
+            sh_degree: self.sh_degree,
             sh: self.sh.iter().enumerate().map(|(i, v)| v * of_basis[i % stride / 3]).collect(),
-            ..self.clone()
         }
     }
 
@@ -161,7 +163,10 @@ impl Splats {
                 .iter()
                 .map(|s| s.map(|v| (f64::from(v) + log_scale) as f32))
                 .collect(),
-            ..self.clone()
+            rotations: self.rotations.clone(),
+            opacities: self.opacities.clone(),
+            sh_degree: self.sh_degree,
+            sh: self.sh.clone(),
         }
     }
 }

@@ -37,11 +37,17 @@ pub struct FlowNetwork {
 impl FlowNetwork {
     /// A network of `nodes` nodes and no arc.
     pub fn new(nodes: usize) -> FlowNetwork {
+        FlowNetwork::with_arcs(nodes, 0)
+    }
+
+    /// The same with memory for so many arcs, two per edge. Of millions of splats they are most of what a cut takes, and arrays
+    /// that grow hold up to three times as much while they are copied.
+    pub fn with_arcs(nodes: usize, arcs: usize) -> FlowNetwork {
         FlowNetwork {
             first: vec![NONE; nodes],
-            next: Vec::new(),
-            to: Vec::new(),
-            capacity: Vec::new(),
+            next: Vec::with_capacity(arcs),
+            to: Vec::with_capacity(arcs),
+            capacity: Vec::with_capacity(arcs),
             terminal: vec![0; nodes],
             flow: 0,
             side: vec![Side::Free; nodes],

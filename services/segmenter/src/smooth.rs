@@ -19,7 +19,8 @@ pub fn graph_cut(
     let n = graph.len();
     let capacity = |energy: f32| (energy * STEPS).clamp(0.0, 1e9) as u32;
     let barred = |i: usize| frozen.is_some_and(|f| f[i]) || probability[i].is_nan();
-    let mut network = FlowNetwork::new(n);
+    // An edge is in the rows of both of its ends.
+    let mut network = FlowNetwork::with_arcs(n, affinities.len());
     for i in 0..n {
         if barred(i) {
             network.add_terminal(i, 0, capacity(f32::MAX));
