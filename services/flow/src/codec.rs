@@ -28,8 +28,8 @@ use wincode::config::Configuration;
 use wincode::len::BincodeLen;
 use wincode::{SchemaRead, SchemaWrite};
 
-/// Most bytes a record may have, header included: 8 GiB. A checkpoint of 5 million splats takes 3.6: 59 parameters each,
-/// with two moments of each parameter. Larger data is split by its owner.
+/// Most bytes a record may have, header included: 8 GiB. A checkpoint of 5 million splats takes 3.3 GiB: 59 parameters
+/// each, and two moments of each parameter. Larger data is split by its owner.
 pub const SIZE_LIMIT: usize = 8 << 30;
 
 /// Most bytes of a file that holds a record, perhaps behind a header of its own.

@@ -100,6 +100,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             prior: None,
             features: None,
             graph: Some(&graph),
+            affinities: None,
             frozen: None,
             shown: None,
             seen_once: None,

@@ -6,8 +6,8 @@ use crate::scene_tree::{CorrectedLeaves, GroupCandidate, SceneTree};
 use crate::tree_answer::{self, TreeAnswer};
 use crate::{
     Alternative, AnswerStep, AnswerSteps, MaskReader, NeighbourGraph, PosedView, PromptedView, Refiner,
-    Request, SegmentError, SegmentSettings, Selection, SelectionConfidence, SpikeCut, SplatFeatures,
-    ViewSplats, cut, select,
+    Request, SceneAffinities, SegmentError, SegmentSettings, Selection, SelectionConfidence, SpikeCut,
+    SplatFeatures, ViewSplats, cut, select,
 };
 use segwild_flow::{Actor, ActorFailure, Context, Message, Phase, Sender, Stopper, lock};
 use segwild_objective::Engine;
@@ -93,6 +93,8 @@ pub struct SegmentActor {
     pub tree: Option<Arc<SceneTree>>,
     /// The neighbour graph, made at the first task.
     pub graph: Option<NeighbourGraph>,
+    /// The affinities of its edges, from the first selection on.
+    pub affinities: SceneAffinities,
     /// Which splats each view shows, as far as tasks needed it; `None` where that takes too much memory.
     pub shown: Option<ViewSplats>,
 }
@@ -131,6 +133,7 @@ impl SegmentActor {
         if self.graph.as_ref().is_none_or(|g| g.len() != self.splats.len()) {
             let _zone = context.busy_zone("neighbour graph");
             self.graph = Some(NeighbourGraph::new(&self.splats, task.settings.neighbours));
+            self.affinities = SceneAffinities::default();
         }
         let provider = |view: usize, reason: String| SegmentError::Provider {
             photo: self.views.get(view).map_or_else(String::new, |v| v.name.clone()),
@@ -152,6 +155,7 @@ impl SegmentActor {
             prior: None,
             features: self.features.as_deref(),
             graph: self.graph.as_ref(),
+            affinities: Some(&self.affinities),
             shown: self.shown.as_ref(),
             frozen: None,
             seen_once: seen_once.as_deref(),

@@ -5,6 +5,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use segwild_scene::Splats;
 use segwild_scene::knn::{self, NONE};
+use std::sync::OnceLock;
 
 /// Two splats further apart than this many times the smaller of their local spacings are not linked, unless their ellipsoids
 /// meet (method, section 6.5): a floater does not connect two objects. By choice. IoU by half, half more: 0, 0 on
@@ -36,6 +37,27 @@ pub struct NeighbourGraph {
     distances: Vec<f32>,
     /// Distance to the furthest of the nearest neighbours: the local spacing.
     spacing: Vec<f32>,
+}
+
+/// The affinities of a scene's graph. They depend on the scene alone, so that the first selection computes them for all that
+/// follow.
+#[derive(Debug, Default)]
+pub struct SceneAffinities {
+    /// Without features, and with them.
+    computed: [OnceLock<Vec<f32>>; 2],
+}
+
+impl SceneAffinities {
+    /// [`NeighbourGraph::affinities`], computed where they are not known yet. All calls are about one graph, its splats and one
+    /// field.
+    pub(crate) fn of(&self, graph: &NeighbourGraph, splats: &Splats, field: Option<&SplatFeatures>) -> &[f32] {
+        let known = &self.computed[usize::from(field.is_some())];
+        if let Some(known) = known.get() {
+            return known;
+        }
+        let computed = graph.affinities(splats, field);
+        known.get_or_init(|| computed)
+    }
 }
 
 impl NeighbourGraph {

@@ -4,6 +4,7 @@ use crate::settings::{ComponentRule, SegmentSettings, SimilarityUse, Undecided};
 use crate::spread::{Belief, spread};
 use crate::{ClickHit, Evidence, NeighbourGraph, components};
 use segwild_scene::Splats;
+use std::borrow::Cow;
 
 /// Steps `n` of label spreading before anything is decided (method, section 6.3): a label of weight 1 then has a decay of
 /// `.97^64 = .14`. Half and half more changed no measured click.
@@ -69,7 +70,7 @@ pub(crate) struct LabelFusion<'a> {
     pub graph: &'a NeighbourGraph,
     /// What the clicks hit: inside, and outside.
     pub hits: (&'a [ClickHit], &'a [ClickHit]),
-    pub affinities: Vec<f32>,
+    pub affinities: Cow<'a, [f32]>,
     pub similarities: Option<Similarities>,
     pub frozen: Option<&'a [bool]>,
     pub settings: &'a SegmentSettings,

@@ -61,7 +61,7 @@ pub use actor::{PhotoReader, SegmentActor, SegmentReply, SegmentTask, Segmented}
 pub use confidence::{Lopsided, SelectionConfidence, counted};
 pub use coverage::Evidence;
 pub use error::SegmentError;
-pub use graph::NeighbourGraph;
+pub use graph::{NeighbourGraph, SceneAffinities};
 pub use maxflow::FlowNetwork;
 pub use multi_view_cut::MaskVote;
 pub use object::{MaskMode, SelectedObject, amodal_mask, cut_scene, owned, visible_mask};

@@ -1,7 +1,9 @@
 //! What a selection is made from: the scene, the photos and the prompts.
 
 use crate::steps::AnswerSteps;
-use crate::{Evidence, NeighbourGraph, SegmentError, SegmentSettings, SplatFeatures, ViewSplats};
+use crate::{
+    Evidence, NeighbourGraph, SceneAffinities, SegmentError, SegmentSettings, SplatFeatures, ViewSplats,
+};
 use segwild_objective::FieldBackend;
 use segwild_raster::{ProjectOptions, Projected, Rasterizer};
 use segwild_scene::{BoxPrompt, Camera, Image, Mask, PointPrompt, Pose, Splats, View};
@@ -67,6 +69,8 @@ pub struct Request<'a> {
     pub features: Option<&'a SplatFeatures>,
     /// The neighbour graph of the splats, if it is at hand; made otherwise.
     pub graph: Option<&'a NeighbourGraph>,
+    /// The affinities of that graph, as far as earlier selections of the scene needed them; computed otherwise.
+    pub affinities: Option<&'a SceneAffinities>,
     /// Which splats each view shows, as far as earlier selections of the scene needed it; computed otherwise.
     pub shown: Option<&'a ViewSplats>,
     /// Splats that can never be selected, such as the sky; one flag per splat.

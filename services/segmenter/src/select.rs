@@ -13,6 +13,7 @@ use crate::{
     SplatFeatures, components, propagate, seen_once, smooth,
 };
 use glam::Vec2;
+use std::borrow::Cow;
 
 /// Accumulated alpha `A` under which a click is on nothing (method, section 6): the error says so. By choice. Half and half
 /// more changed no measured click.
@@ -93,7 +94,10 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
         splats,
         graph,
         hits: (&positive, &negative),
-        affinities: graph.affinities(splats, features),
+        affinities: match request.affinities {
+            Some(known) => Cow::Borrowed(known.of(graph, splats, features)),
+            None => Cow::Owned(graph.affinities(splats, features)),
+        },
         similarities,
         frozen: request.frozen,
         settings,

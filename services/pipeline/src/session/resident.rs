@@ -22,8 +22,8 @@ use segwild_objective::Engine;
 use segwild_scene::{PhotoStore, Prompts, ReaderError, Scene, Splats};
 use segwild_segmenter::scene_tree::{GroupCandidate, SceneTree};
 use segwild_segmenter::{
-    PosedView, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask, SplatFeatures,
-    ViewSplats,
+    PosedView, SceneAffinities, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask,
+    SplatFeatures, ViewSplats,
 };
 use segwild_trainer::Model;
 use segwild_vision::Providers;
@@ -180,6 +180,7 @@ impl Session {
                 segmenter: segmenter.clone(),
                 tree: tree_of_actor.clone(),
                 graph: None,
+                affinities: SceneAffinities::default(),
                 shown: ViewSplats::new(splats_of_actor.len(), views.len()),
             })
         })?;

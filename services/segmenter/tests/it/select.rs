@@ -7,9 +7,9 @@ use segwild_raster::Rasterizer;
 use segwild_scene::{Mask, PointPrompt, Splats};
 use segwild_segmenter::coverage::{coverage, unoccluded};
 use segwild_segmenter::{
-    ComponentRule, Evidence, EvidenceMode, PhotoVerdict, PhotoVisit, PosedView, PromptedView, Request,
-    SegmentError, SegmentSettings, Selection, SimilarityUse, SpikeCut, SplatFeatures, Vote, amodal_mask, cut,
-    hit, select, visible_mask,
+    ComponentRule, Evidence, EvidenceMode, NeighbourGraph, PhotoVerdict, PhotoVisit, PosedView, PromptedView,
+    Request, SceneAffinities, SegmentError, SegmentSettings, Selection, SimilarityUse, SpikeCut,
+    SplatFeatures, Vote, amodal_mask, cut, hit, select, visible_mask,
 };
 
 fn click(x: f32, y: f32) -> PointPrompt {
@@ -209,6 +209,25 @@ fn features_that_are_no_numbers_change_nothing_but_themselves() {
     assert!(!selection.labels[5] && selection.score.iter().all(|s| (0.0..=1.0).contains(s)));
     let none = SplatFeatures::new(8, vec![f32::NAN; 8 * world.len()]).unwrap();
     assert!(world.share(0, &SelectionCase { features: Some(&none), ..case }.run().unwrap().labels) > 0.97);
+}
+
+#[test]
+fn affinities_of_an_earlier_selection_change_nothing() {
+    let (world, view) = walls();
+    let (engine, mask, field) = (engine(), front_mask(&world, &view), features(&world, 8));
+    let (settings, points) = (SegmentSettings::default(), [click(80.0, 60.0)]);
+    let prompts =
+        [PromptedView { view: 0, mask: &mask, open: None, points: &points, refused: false, boxes: &[] }];
+    let views = std::slice::from_ref(&view);
+    let graph = NeighbourGraph::new(&world.splats, settings.neighbours);
+    let known = SceneAffinities::default();
+    let request = request(&engine, &world.splats, views, &prompts, &settings);
+    for features in [Some(&field), None, Some(&field)] {
+        let request = Request { features, graph: Some(&graph), ..request };
+        let alone = select(&request, None).unwrap();
+        let with = select(&Request { affinities: Some(&known), ..request }, None).unwrap();
+        assert_eq!((with.labels, with.score), (alone.labels, alone.score));
+    }
 }
 
 #[test]

@@ -149,6 +149,7 @@ pub fn request<'a>(
         prior: None,
         features: None,
         graph: None,
+        affinities: None,
         frozen: None,
         shown: None,
         seen_once: None,
