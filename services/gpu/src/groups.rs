@@ -25,7 +25,10 @@ mod tests {
         for groups in [5_000_000, 40_000_000 / 64, u32::MAX as usize / GROUP, 65_535 * 65_535] {
             let [columns, rows] = rows_of(groups).map(|n| n as usize);
             assert!(columns <= MOST_PER_ROW && rows <= MOST_PER_ROW, "{groups}: {columns} x {rows}");
-            assert!(columns * rows >= groups && columns * (rows - 1) < groups, "{groups}: {columns} x {rows}");
+            assert!(
+                columns * rows >= groups && columns * (rows - 1) < groups,
+                "{groups}: {columns} x {rows}"
+            );
             // The shaders count groups in 32 bits.
             assert!(columns * rows <= u32::MAX as usize, "{groups}: {columns} x {rows}");
         }

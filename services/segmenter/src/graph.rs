@@ -50,7 +50,12 @@ pub struct SceneAffinities {
 impl SceneAffinities {
     /// [`NeighbourGraph::affinities`], computed where they are not known yet. All calls are about one graph, its splats and one
     /// field.
-    pub(crate) fn of(&self, graph: &NeighbourGraph, splats: &Splats, field: Option<&SplatFeatures>) -> &[f32] {
+    pub(crate) fn of(
+        &self,
+        graph: &NeighbourGraph,
+        splats: &Splats,
+        field: Option<&SplatFeatures>,
+    ) -> &[f32] {
         let known = &self.computed[usize::from(field.is_some())];
         if let Some(known) = known.get() {
             return known;

@@ -61,7 +61,7 @@ fn more_than_four_mebibytes_travel() {
 fn more_than_the_limit_is_refused() {
     // Zeros that are never touched take no memory, but some systems promise no more than they have.
     if Vec::<u8>::new().try_reserve_exact(SIZE_LIMIT + 1).is_err() {
-        return println!("skipped: more_than_the_limit_is_refused: a record may be larger than this machine's memory");
+        return println!("skipped: more_than_the_limit_is_refused: this machine has less memory than that");
     }
     let mut zeros = vec![0u8; SIZE_LIMIT + 1];
     assert!(matches!(codec::encode("big/1", &zeros), Err(CodecError::TooLarge { .. })));

@@ -287,7 +287,8 @@ pub(crate) fn fits_records(settings: &Settings, scene: &Scene) -> Result<(), Run
         return Ok(());
     }
     Err(RunError::Request(format!(
-        "{splats} splats take {:.0} MiB of one file of the run, which holds at most {:.0} MiB: lower --splats, or import fewer",
+        "{splats} splats take {:.0} MiB of one file of the run, which holds at most {:.0} MiB: lower --splats, or import \
+         fewer",
         bytes / MIB,
         most / MIB
     )))

@@ -46,7 +46,8 @@ fn features_are_kept_in_16_bits_and_cosines_are_those_of_the_rounded_numbers() {
     assert_eq!(field.bytes(), 40 * (2 * 33 + 4));
     let rounded = field.values();
     assert!(rounded.iter().zip(&values).all(|(a, b)| (a - b).abs() <= b.abs() / 2048.0));
-    assert_eq!(SplatFeatures::new(33, rounded).unwrap().values(), field.values(), "rounding twice is rounding once");
+    let again = SplatFeatures::new(33, rounded).unwrap();
+    assert_eq!(again.values(), field.values(), "rounding twice is rounding once");
     for i in 1..field.len() {
         let want = reference(&field.row(0), &[field.row(i)], 1.0);
         assert!((f64::from(field.cosine(0, i)) - want).abs() < 1e-5, "{want}");
