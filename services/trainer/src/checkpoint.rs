@@ -63,7 +63,7 @@ fn model_of(state: &TrainState, names: Vec<String>, antialias: bool) -> Model {
         appearance.forget_training();
     }
     Model {
-        splats: state.params.splats.clone(),
+        splats: Arc::new(state.params.splats.clone()),
         splat_embeddings: state.params.splat_embeddings.clone(),
         appearance,
         backgrounds: state.backgrounds.clone(),

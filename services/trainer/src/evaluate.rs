@@ -245,7 +245,7 @@ pub(crate) fn render_unseen(
                 let image_conditioning =
                     appearances::image_conditioning(trained, photo, &camera, &pose, within);
                 let light = trained.appearance_maps_of_conditioning(&image_conditioning);
-                let Splats { means, .. } = &model.splats;
+                let Splats { means, .. } = &*model.splats;
                 let below = trained.below.appearance_embedding(index, means, &model.splat_embeddings);
                 let own = (&below, trained.layer());
                 let appearance_embedding =

@@ -16,8 +16,8 @@ use wincode::{SchemaRead, SchemaWrite};
 /// A trained scene: splats, and the appearance and background of each photo.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub struct Model {
-    /// The splats, in the scene's normalised frame.
-    pub splats: Splats,
+    /// The splats, in the scene's normalised frame. They are shared: a copy of the model copies none.
+    pub splats: Arc<Splats>,
     /// Per-splat appearance embeddings, `[splat][embedding_size]`; empty for appearance models without them.
     pub splat_embeddings: Vec<f32>,
     /// The appearances of the photos, by index of the view; one more, at the index past the last view, is the mean.
@@ -108,7 +108,7 @@ impl Model {
     /// The splats at `keep`, in that order, with all that belongs to them.
     pub fn select(&mut self, keep: &[usize]) {
         self.splat_embeddings = select(&self.splat_embeddings, self.splats.len(), keep);
-        self.splats = self.splats.select(keep);
+        self.splats = Arc::new(self.splats.select(keep));
     }
 
     /// Options to project these splats with.

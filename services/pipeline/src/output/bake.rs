@@ -70,7 +70,7 @@ pub fn bake(folder: &RunFolder, request: &BakeRequest, stopper: &Stopper) -> Res
     match &request.selection {
         Some(name) => {
             let selected = Selected::read(folder, name, model.splats.len())?;
-            model.splats = selected.cut_scene(&model.splats);
+            model.splats = selected.cut_scene(&model.splats).into();
             whose = selected.labels;
         }
         None if request.object_appearance.is_some() || request.part != ScenePart::Scene => {
@@ -84,7 +84,7 @@ pub fn bake(folder: &RunFolder, request: &BakeRequest, stopper: &Stopper) -> Res
         let keep = if request.part == ScenePart::Only {
             (0..whose.len()).filter(|&i| whose[i]).collect()
         } else {
-            let (splats, size) = ((&model.splats, model.options()), loaded.settings.scene.size);
+            let (splats, size) = ((&*model.splats, model.options()), loaded.settings.scene.size);
             let without = SceneWithout::of_run(&*engine, folder, scene, splats, &whose, size)?;
             unseen = Some(without.unseen_share(&*engine, scene, size)?);
             without.keep

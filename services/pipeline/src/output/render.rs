@@ -382,7 +382,7 @@ impl<'a> SceneRenderer<'a> {
         let mut model = loaded.model.clone();
         let (mut whose, mut highlight, mut only) = (None, None, false);
         if let Some((selected, mode)) = selected {
-            model.splats = selected.cut_scene(&model.splats);
+            model.splats = selected.cut_scene(&model.splats).into();
             let mut labels = selected.labels;
             if let Mode::Only | Mode::Without = mode {
                 if what == RenderContent::Features {

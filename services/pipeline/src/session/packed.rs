@@ -140,7 +140,7 @@ impl Session {
             let mut model = self.model.clone();
             model.select(&own);
             // An appearance may depend on where a splat is.
-            for (mean, i) in model.splats.means.iter_mut().zip(&own) {
+            for (mean, i) in Arc::make_mut(&mut model.splats).means.iter_mut().zip(&own) {
                 *mean = shapes.get(&(*i as u32)).map_or(*mean, |shape| shape.mean);
             }
             let baked = model.baked(&appearance.light(&self.scene, &model)?.into());

@@ -161,7 +161,7 @@ impl Session {
         let barred: Arc<Vec<bool>> = Arc::new(scene.views.iter().map(|v| v.test).collect());
         let skies = Arc::new(skies::of_run(folder, photos.clone(), providers.sky.clone())?);
         let transients = Arc::new(transients::of_run(folder, &scene));
-        let splats = Arc::new(model.splats.clone());
+        let splats = model.splats.clone();
         let (options, segmenter) = (model.options(), providers.segmenter.clone());
         let engine_of_actor = engine.clone();
         let splats_of_actor = splats.clone();

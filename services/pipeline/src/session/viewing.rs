@@ -59,7 +59,7 @@ impl ShownScene {
 }
 
 impl Session {
-    /// About how many bytes the session takes in memory: splats twice (the segmenter has its own), features, tree, photos.
+    /// About how many bytes the session takes in memory: splats, features, tree, photos.
     pub fn bytes(&self) -> usize {
         let splats = &self.model.splats;
         let of_splats = 4 * (11 * splats.len() + splats.sh.len() + self.model.splat_embeddings.len());
@@ -69,7 +69,7 @@ impl Session {
             camera.width as usize * camera.height as usize
         };
         let photos: usize = (0..self.scene.views.len()).map(|view| PIXEL_BYTES * pixels(view)).sum();
-        2 * of_splats + self.feature_bytes + GROUP_BYTES * groups + photos.min(PHOTO_BYTES)
+        of_splats + self.feature_bytes + GROUP_BYTES * groups + photos.min(PHOTO_BYTES)
     }
 
     /// Long side in pixels at which photos are worked with.
@@ -180,7 +180,7 @@ impl Session {
     pub fn show(&self, parts: &ShownParts) -> Result<ShownScene, RunError> {
         let mut model = self.model.clone();
         for cut in &parts.cut {
-            model.splats = cut.cut_scene(&model.splats);
+            model.splats = cut.cut_scene(&model.splats).into();
         }
         let n = model.splats.len();
         let mut highlight = vec![0.0; if parts.highlights.is_empty() { 0 } else { n * HIGHLIGHT_CHANNELS }];

@@ -273,14 +273,14 @@ fn model(scene: &Scene) -> Model {
     let views = scene.views.len();
     let background = Background { coefficients: vec![[0.5; 3]] };
     Model {
-        splats: Splats {
+        splats: Arc::new(Splats {
             means: (0..SPLATS).map(|i| [0.1 * i as f32, 0.0, 1.0]).collect(),
             log_scales: vec![[-2.0; 3]; SPLATS],
             rotations: vec![[1.0, 0.0, 0.0, 0.0]; SPLATS],
             opacities: vec![2.0; SPLATS],
             sh_degree: 0,
             sh: vec![0.3; 3 * SPLATS],
-        },
+        }),
         splat_embeddings: Vec::new(),
         appearance: AnyAppearance::None(NoAppearance),
         backgrounds: vec![Some(background); views],

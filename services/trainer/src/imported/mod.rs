@@ -221,7 +221,7 @@ impl<'a> Fitter<'a> {
             refined_poses: vec![None; count],
             names: scene.views.iter().map(|view| view.name.clone()).collect(),
             stats: Stats { step: trained_on.len() as u32, psnr: Some(psnr) },
-            splats,
+            splats: Arc::new(splats),
             backgrounds,
             trained_on,
             antialias,

@@ -7,6 +7,7 @@ use segwild_objective::{
 use segwild_raster::CpuEngine;
 use segwild_scene::{Camera, Image, Pose, Random, Splats};
 use segwild_trainer::{Background, Model, SceneLighting, Stats, render_lit, render_view};
+use std::sync::Arc;
 
 const SPLATS: usize = 300;
 const PHOTOS: usize = 3;
@@ -64,7 +65,7 @@ fn model(appearance_model: &str, sh_degree: u32) -> Model {
         (0..appearance.as_appearance().embedding_size() * SPLATS).map(|_| 0.06 * random.normal()).collect();
     let background = |_| Some(Background::constant(std::array::from_fn(|_| random.uniform())));
     Model {
-        splats,
+        splats: Arc::new(splats),
         splat_embeddings,
         appearance,
         backgrounds: (0..PHOTOS).map(background).collect(),
@@ -109,7 +110,7 @@ fn baked_splats_without_an_appearance_model_are_the_scene_in_that_appearance() {
             let light = model.light(Some(1));
             let lit = render(&model, &light.clone().into());
             let plain = Model {
-                splats: model.baked(&light.clone().into()),
+                splats: Arc::new(model.baked(&light.clone().into())),
                 splat_embeddings: Vec::new(),
                 appearance: AnyAppearance::None(NoAppearance),
                 ..model.clone()
@@ -195,7 +196,7 @@ fn an_object_has_its_own_light_and_the_rest_keeps_the_scenes() {
         let white = Model {
             appearance: AnyAppearance::None(NoAppearance),
             splat_embeddings: Vec::new(),
-            splats: Splats { sh: vec![0.0; part.splats.sh.len()], ..part.splats.clone() },
+            splats: Arc::new(Splats { sh: vec![0.0; part.splats.sh.len()], ..(*part.splats).clone() }),
             backgrounds: vec![Some(Background::constant([0.0; 3])); PHOTOS],
             ..part.clone()
         };
@@ -218,7 +219,7 @@ fn an_object_has_its_own_light_and_the_rest_keeps_the_scenes() {
     assert!(same > 100 && changed > 100, "{same} as they were, {changed} under the other light");
     // The same two lights, written into the splats.
     let plain = Model {
-        splats: model.baked(&lighting),
+        splats: Arc::new(model.baked(&lighting)),
         splat_embeddings: Vec::new(),
         appearance: AnyAppearance::None(NoAppearance),
         ..model.clone()

@@ -111,7 +111,7 @@ fn order(run: &mut RunContext<'_>, actors: &Actors<'_>) -> Result<FeatureStage, 
     run.setup.ledger.start_stage(Stage::Features.name(), &key)?;
     let given = |view: &usize| run.made.embedded[*view] && !run.made.unseen.contains(view);
     let task = FeatureTask::Field {
-        splats: Arc::new(inputs.model.splats.clone()),
+        splats: inputs.model.splats.clone(),
         options: inputs.model.options(),
         views: Arc::new(views.into_iter().filter(given).collect()),
         inputs,
