@@ -187,6 +187,7 @@ mod tests {
             prior: None,
             features: None,
             graph: None,
+            affinities: None,
             shown: None,
             frozen: None,
             seen_once: None,

@@ -185,13 +185,7 @@ impl SimdKernel for Chunk<'_> {
 
 /// Adds the tiles that hold a pixel centre of the ellipse where alpha reaches 1/255; returns their number.
 #[inline(always)]
-fn cover(
-    splat: u16,
-    f: &SplatFootprint,
-    tip: f32,
-    projector: &Projector,
-    spans: &mut Vec<TileSpan>,
-) -> u32 {
+fn cover(splat: u16, f: &SplatFootprint, tip: f32, projector: &Projector, spans: &mut Vec<TileSpan>) -> u32 {
     let (right, bottom) = (projector.width as f32 - 1.0, projector.height as f32 - 1.0);
     let top = (f.y - f.reach - 0.5).ceil().max(0.0);
     let low = (f.y + f.reach - 0.5).floor().min(bottom);

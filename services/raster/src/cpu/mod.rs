@@ -493,7 +493,7 @@ mod tests {
         assert_eq!(gathered_at_once(20_000_000, 3), 3);
         for (pairs, count) in [(1 << 20, 384), (3_000_000, 128), (5_000_000, 1000)] {
             let at_once = gathered_at_once(pairs, count);
-            assert!(at_once < count && at_once % BLOCK == 0, "{at_once} of {count}");
+            assert!(at_once < count && at_once.is_multiple_of(BLOCK), "{at_once} of {count}");
             assert!(pairs * at_once <= GATHERED && pairs * (at_once + BLOCK) > GATHERED, "{at_once}");
         }
     }

@@ -67,7 +67,7 @@ pub(super) const SELECTION: FuzzTarget = FuzzTarget {
         });
         put(file, bytes);
         if let Ok(selected) = Selected::read(run, "thing", splats()) {
-            static MODEL: OnceLock<segwild_scene::Splats> = OnceLock::new();
+            static MODEL: OnceLock<std::sync::Arc<segwild_scene::Splats>> = OnceLock::new();
             let model = MODEL.get_or_init(|| run.load().unwrap_or_else(|e| panic!("{e}")).model.splats);
             let cut = selected.cut_scene(model);
             assert_eq!(cut.len(), model.len());
