@@ -18,6 +18,7 @@ use segwild_scene::SceneError;
 use segwild_segmenter::SegmentError;
 use segwild_synthetic::SyntheticError;
 use segwild_vision::{ServiceError, VisionError};
+use std::io::Write;
 use std::path::Path;
 
 /// Why the program ends early.
@@ -42,7 +43,8 @@ impl Failure {
 
     /// Tells the person, on standard error.
     pub fn tell(&self) {
-        eprintln!("error: {}", plain(&self.message));
+        // Where nobody can read it, as in a log on a full disk, the exit code says it.
+        let _ = writeln!(std::io::stderr(), "error: {}", plain(&self.message));
     }
 
     /// What a program reads.

@@ -77,7 +77,9 @@ fn main() -> ExitCode {
     let level = std::env::var("SEGWILD_LOG").unwrap_or_else(|_| "error".into());
     // What a person should know is an event; the log is for those who want more.
     let filter = tracing_subscriber::EnvFilter::try_new(&level).unwrap_or_else(|_| "error".into());
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    // A log that cannot be written, as on a full disk, is no reason to end.
+    let log = tracing_subscriber::fmt().log_internal_errors(false);
+    log.with_env_filter(filter).with_writer(std::io::stderr).init();
     let faults: Vec<&String> = matches.get_many("fault").into_iter().flatten().collect();
     if let Err(error) = segwild_flow::fault::arm(&faults) {
         failure::Failure::usage(error.to_string()).tell();

@@ -332,6 +332,9 @@ pub struct WorkerTally {
     pub returned: u64,
     /// Jobs that it fell silent with.
     pub silent: u64,
+    /// Why it takes no jobs for now; `None` where it takes them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub paused: Option<String>,
     /// When it last announced itself, took, renewed, stored or ended a job, or kept capacity for one.
     pub seen: f64,
     /// What it has in all, as it last announced; `None` where it never did, or the log has forgotten it.
@@ -472,6 +475,15 @@ pub trait JobEngine: Send + Sync {
     /// When the store fails.
     fn tallies(&self) -> Result<BTreeMap<String, WorkerTally>, EngineError> {
         Ok(BTreeMap::new())
+    }
+
+    /// Notes that a worker takes no jobs for now, and why; or, with `None`, that it takes them again. An engine for a single
+    /// machine need not remember it.
+    ///
+    /// # Errors
+    /// When the store fails.
+    fn note_pause(&self, _worker: &str, _reason: Option<&str>) -> Result<(), EngineError> {
+        Ok(())
     }
 
     /// How long the log is, when it was last read; `None` where the engine keeps none that others read.

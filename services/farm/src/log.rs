@@ -105,6 +105,10 @@ impl<L: TransitionLog> JobEngine for L {
         self.transact(|table, _| table.note_wait(lease, reason), |_, ()| ())
     }
 
+    fn note_pause(&self, worker: &str, reason: Option<&str>) -> Result<(), EngineError> {
+        self.transact(|table, _| table.note_pause(worker, reason), |_, ()| ())
+    }
+
     fn checkpoint(&self, lease: &JobLease, artefact: &str) -> Result<(), EngineError> {
         self.transact(|table, _| table.checkpoint(lease, artefact), |_, ()| ())
     }

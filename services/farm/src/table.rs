@@ -318,6 +318,16 @@ impl JobTable {
         self.by_holder(lease, Transition::Waited { job, reason: reason.map(str::to_owned) }, ())
     }
 
+    /// Notes that a worker takes no jobs for now, or takes them again. Who pauses on says so again: that is a sign of life.
+    pub fn note_pause(&self, worker: &str, reason: Option<&str>) -> Decision<()> {
+        let pauses = self.workers.get(worker).is_some_and(|tally| tally.paused.is_some());
+        if reason.is_none() && !pauses {
+            return Decision::nothing(Ok(()));
+        }
+        let (worker, reason) = (worker.to_owned(), reason.map(str::to_owned));
+        Decision::one(Transition::Paused { worker, reason }, ())
+    }
+
     /// Notes where the state of a holder's work is stored.
     pub fn checkpoint(&self, lease: &JobLease, artefact: &str) -> Decision<()> {
         let (job, checkpoint) = (lease.job.id.clone(), artefact.to_owned());
@@ -358,11 +368,8 @@ impl JobTable {
                 }
             }
             Transition::TimesMoved { seconds, since } => self.move_times(*seconds, *since),
-            Transition::Announced { worker, whole, accelerator } => {
-                let tally = self.workers.entry(worker.clone()).or_default();
-                (tally.seen, tally.seen_by) = (now, record);
-                (tally.whole, tally.accelerator) = (Some(*whole), accelerator.clone());
-                self.forget_worker();
+            Transition::Announced { .. } | Transition::Paused { .. } => {
+                self.tally(transition, None, now, record);
             }
             _ => {}
         }
@@ -386,7 +393,10 @@ impl JobTable {
     /// Books what a transition says of the worker that held the job before it, or takes it.
     fn tally(&mut self, transition: &Transition, holder: Option<String>, now: f64, record: u64) {
         let worker = match transition {
-            Transition::Claimed { worker, .. } | Transition::Kept { worker, .. } => Some(worker.clone()),
+            Transition::Claimed { worker, .. }
+            | Transition::Kept { worker, .. }
+            | Transition::Announced { worker, .. }
+            | Transition::Paused { worker, .. } => Some(worker.clone()),
             _ => holder,
         };
         let Some(worker) = worker else { return };
@@ -396,6 +406,12 @@ impl JobTable {
             Transition::Failed { .. } => tally.failed += 1,
             Transition::Released { .. } => tally.returned += 1,
             Transition::Expired { .. } => tally.silent += 1,
+            Transition::Claimed { .. } => tally.paused = None,
+            Transition::Paused { reason, .. } => tally.paused.clone_from(reason),
+            Transition::Announced { whole, accelerator, .. } => {
+                tally.whole = Some(*whole);
+                tally.accelerator.clone_from(accelerator);
+            }
             _ => {}
         }
         // Others note that it fell silent, and may hand back what it held: that is no sign of life.
@@ -547,6 +563,7 @@ impl Entry {
             | Transition::Stored { .. }
             | Transition::Kept { .. }
             | Transition::Announced { .. }
+            | Transition::Paused { .. }
             | Transition::ClockSet { .. }
             | Transition::TimesMoved { .. } => Vec::new(),
         }

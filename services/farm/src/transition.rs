@@ -98,6 +98,13 @@ pub enum Transition {
         /// What accelerator it has, by name.
         accelerator: Option<String>,
     },
+    /// A worker takes no jobs for now, or, without a reason, takes them again.
+    Paused {
+        /// The worker.
+        worker: String,
+        /// Why it takes none.
+        reason: Option<String>,
+    },
     /// The wall clock was set while no time passed: all times to come move along.
     ClockSet {
         /// By how much, in seconds; back is negative.
@@ -136,7 +143,10 @@ impl Transition {
             | Self::Stored { job, .. }
             | Self::Kept { job, .. }
             | Self::RestEnded { job } => Some(job),
-            Self::Announced { .. } | Self::ClockSet { .. } | Self::TimesMoved { .. } => None,
+            Self::Announced { .. }
+            | Self::Paused { .. }
+            | Self::ClockSet { .. }
+            | Self::TimesMoved { .. } => None,
         }
     }
 }

@@ -39,8 +39,8 @@ struct Words<'a>(&'static str, Obstacle, &'a io::Error);
 impl fmt::Display for Words<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.1 {
-            Obstacle::DiskFull => f.write_str("the disk is full; free some space and run again"),
-            Obstacle::ReadOnly => f.write_str("the folder is on a read-only file system; choose another one"),
+            Obstacle::DiskFull => f.write_str(Obstacle::FULL),
+            Obstacle::ReadOnly => f.write_str(Obstacle::READ_ONLY),
             Obstacle::Denied if self.0 == "read" => f.write_str("permission denied; you may not read it"),
             Obstacle::Denied => f.write_str("permission denied; choose a folder that you may write"),
             Obstacle::NoFolder => f.write_str("its folder does not exist or is a file"),
@@ -53,6 +53,11 @@ impl fmt::Display for Words<'_> {
 }
 
 impl Obstacle {
+    /// What every error says of a full disk: who sees only the words of another process knows it by this sentence.
+    pub const FULL: &'static str = "the disk is full; free some space and run again";
+    /// The same of a file system that cannot be written.
+    pub const READ_ONLY: &'static str = "the folder is on a read-only file system; choose another one";
+
     /// The kind of an error of the operating system.
     pub fn of(error: &io::Error) -> Obstacle {
         match error.kind() {

@@ -1,7 +1,8 @@
-//! File descriptors, processes and threads that the system does not have left: no fault of the work, which may be done
-//! once others have given some back.
+//! File descriptors, processes, threads and disk space that the system does not have left: no fault of the work, which may be
+//! done once others have given some back.
 
 use std::io;
+use std::path::Path;
 
 /// A process needs about so many open files: databases, photos read by each thread, connections of `--metrics-listen`.
 pub const FILES_NEEDED: u64 = 96;
@@ -30,6 +31,19 @@ pub fn is_shortage(error: &io::Error) -> bool {
 /// Whether the system could not start a thread or a process for want of one.
 pub fn is_shortage_of_processes(error: &io::Error) -> bool {
     is_shortage(error) || error.kind() == io::ErrorKind::WouldBlock
+}
+
+/// Bytes that may still be written on the disk of a folder; `None` where the system does not report it.
+#[cfg(unix)]
+pub fn free_disk_bytes(folder: &Path) -> Option<u64> {
+    let stats = rustix::fs::statvfs(folder).ok()?;
+    Some(stats.f_bavail.saturating_mul(stats.f_frsize))
+}
+
+/// Bytes that may still be written on the disk of a folder; `None` where the system does not report it.
+#[cfg(not(unix))]
+pub fn free_disk_bytes(_: &Path) -> Option<u64> {
+    None
 }
 
 /// Raises the number of files that this process may have open, as far as the system lets it without asking; returns how

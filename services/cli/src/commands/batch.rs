@@ -192,6 +192,8 @@ pub fn in_words(event: &BatchEvent) -> String {
             format!("the farm does not answer, the work goes on: {reason}")
         }
         BatchEvent::EngineBack => "the farm answers again".into(),
+        BatchEvent::WorkerPaused { reason } => format!("takes no scene: {reason}"),
+        BatchEvent::WorkerResumed => "takes scenes again".into(),
         BatchEvent::SceneStarted { scene, pid, attempt, cores } => {
             let again = if *attempt > 1 { format!(", attempt {attempt}") } else { String::new() };
             let s = if *cores == 1 { "" } else { "s" };

@@ -167,5 +167,10 @@ fn tell_batch(batch: &BatchView) -> Result<(), Failure> {
             tell_run(run, "    ")?;
         }
     }
+    for worker in batch.farm.iter().flat_map(|farm| &farm.workers) {
+        if let Some(reason) = &worker.paused {
+            print_line(&format!("worker {} takes no scene: {reason}", worker.name))?;
+        }
+    }
     Ok(())
 }

@@ -26,6 +26,14 @@ pub fn command() -> Command {
                 .value_parser(needs)
                 .help("Take scenes with at most these needs, as cores=8,memory=64,accelerators=1,gpu=h100 (GiB)"),
         )
+        .arg(
+            Arg::new("least-free")
+                .long("least-free")
+                .value_name("GIB")
+                .default_value("1")
+                .value_parser(gib)
+                .help("Take no scene while the disk of --work has less free (GiB)"),
+        )
         .arg(flag("drain", "End when no scene is left"))
         .arg(
             number("store-every", "60", "Store a running scene's state after so many seconds")
@@ -71,6 +79,13 @@ fn needs(text: &str) -> Result<Capacity, String> {
     Ok(all)
 }
 
+/// Reads a number of GiB, as bytes.
+fn gib(text: &str) -> Result<u64, String> {
+    let size = text.parse().ok().filter(|gib: &f64| gib.is_finite() && *gib >= 0.0);
+    let size = size.ok_or_else(|| format!("`{text}`: expected a number of GiB"))?;
+    Ok((size * (1u64 << 30) as f64) as u64)
+}
+
 /// Works.
 pub fn worker(matches: &ArgMatches) -> Result<(), Failure> {
     have_files_to_open()?;
@@ -103,6 +118,7 @@ pub fn worker(matches: &ArgMatches) -> Result<(), Failure> {
         accelerator: given.gpu,
         patience_s: f64::from(seconds("patience")),
         store_every: Duration::from_secs(seconds("store-every").into()),
+        least_free_bytes: *matches.get_one::<u64>("least-free").expect("it has a default"),
         drain: matches.get_flag("drain"),
         program: std::env::current_exe()?,
         classify: exit::class,
@@ -145,6 +161,10 @@ mod tests {
         assert_eq!((read.cores, read.memory_gib, read.gpu.as_deref()), (Some(8), Some(64.0), Some("h100")));
         for text in ["cores=0", "memory=-1", "memory=inf", "disk=3", "gpu=", "cores"] {
             assert!(needs(text).unwrap_err().contains(text), "{text}");
+        }
+        assert_eq!((gib("0"), gib("1.5")), (Ok(0), Ok(3 << 29)));
+        for text in ["-1", "inf", "NaN", "much"] {
+            assert!(gib(text).unwrap_err().contains(text), "{text}");
         }
     }
 }

@@ -115,6 +115,7 @@ pub fn run(
         stop: options.stop.clone(),
         files,
         host: Arc::new(LocalHost),
+        disk: None,
         tell,
     }
     .work()?;

@@ -43,6 +43,13 @@ pub enum BatchEvent {
     },
     /// The engine answers again.
     EngineBack,
+    /// This machine takes no further scenes for now.
+    WorkerPaused {
+        /// Why.
+        reason: String,
+    },
+    /// This machine takes scenes again.
+    WorkerResumed,
     /// A scene's process starts.
     SceneStarted {
         /// The scene.

@@ -46,6 +46,9 @@ pub(crate) trait SceneHost: Send + Sync {
 
     /// The machine has nothing to do with a scene any more, unless it takes it again (`may_return`).
     fn leave(&self, scene: &SceneJob, may_return: bool);
+
+    /// Removes what scenes left that the machine has not got now, to gain space: they are stored, or are started again.
+    fn reclaim(&self, here: &[&SceneJob]);
 }
 
 /// The host of a batch on one machine: photos and run folders are where the manifest names them.
@@ -73,4 +76,6 @@ impl SceneHost for LocalHost {
     }
 
     fn leave(&self, _: &SceneJob, _: bool) {}
+
+    fn reclaim(&self, _: &[&SceneJob]) {}
 }

@@ -5,6 +5,7 @@
 
 mod assignment;
 mod child;
+mod disk;
 mod event;
 mod files;
 mod host;
@@ -14,6 +15,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+pub(crate) use disk::DiskGate;
 pub use event::BatchEvent;
 pub(crate) use files::SceneFiles;
 pub(crate) use host::{HostFailure, LocalHost, SceneHost};
@@ -26,6 +28,7 @@ use crate::engine::{
     EngineError, ErrorClass, JobEngine, JobFate, JobLease, JobState, JobStatus, WorkerOffer,
 };
 use crate::job::Needs;
+use crate::manifest::SceneJob;
 
 /// A lease lasts so long without a heartbeat, in seconds.
 pub const LEASE_S: f64 = 60.0;
@@ -64,6 +67,8 @@ pub(crate) struct CrewTerms<'a> {
     pub files: SceneFiles,
     /// Where scenes come from, and where their state goes.
     pub host: Arc<dyn SceneHost>,
+    /// Whether the machine's disk has space for a further scene; without it, that is not decided here.
+    pub disk: Option<DiskGate>,
     /// Where events go.
     pub tell: &'a mut dyn FnMut(&BatchEvent),
 }
@@ -72,7 +77,8 @@ impl CrewTerms<'_> {
     /// Works until nothing is left, or until a stop is requested; returns whether it was interrupted. Whatever goes wrong, no
     /// process is left running.
     pub fn work(self) -> Result<bool, EngineError> {
-        let mut crew = Crew { terms: self, assignments: Vec::new(), silent: false, announced: None };
+        let mut crew =
+            Crew { terms: self, assignments: Vec::new(), silent: false, announced: None, pause_noted: false };
         let outcome = crew.conduct();
         crew.abandon();
         outcome
@@ -86,6 +92,8 @@ struct Crew<'a> {
     silent: bool,
     /// When it last announced to its farm what it has.
     announced: Option<Instant>,
+    /// Whether the engine has noted that this machine takes no scenes.
+    pause_noted: bool,
 }
 
 impl Crew<'_> {
@@ -207,7 +215,7 @@ impl Crew<'_> {
     /// Takes a scene; `false` when none fits now.
     fn claim(&mut self) -> Result<bool, EngineError> {
         let free = self.free();
-        if free.cores == 0 {
+        if free.cores == 0 || self.is_short_of_space()? {
             return Ok(false);
         }
         let claimed = self.terms.engine.claim(&self.offer(free));
@@ -221,7 +229,12 @@ impl Crew<'_> {
         };
         if let Err(error) = self.terms.files.write_settings(&scene) {
             let words = format!("its settings cannot be written: {error}");
-            self.failed(&lease, ErrorClass::Retryable, &words)?;
+            let full = self.is_refused_by_disk(&words);
+            // A disk with no space for a few settings is no scene's doing.
+            let class = if full { ErrorClass::Shortage } else { ErrorClass::Retryable };
+            let words = self.named(full, words);
+            self.failed(&lease, class, &words)?;
+            self.count_disk(false, full);
             return Ok(true);
         }
         let mut granted = if lease.alone { free } else { lease.job.needs };
@@ -239,6 +252,69 @@ impl Crew<'_> {
         let worker = SceneWorker::new(lease, scene, granted, cpus);
         self.assignments.push(Assignment::new(worker, self.terms.host.clone()));
         Ok(true)
+    }
+
+    /// Whether the disk has no space for a further scene. When that changes, the farm and who watches this machine learn why.
+    fn is_short_of_space(&mut self) -> Result<bool, EngineError> {
+        let mut reason = self.terms.disk.as_mut().and_then(DiskGate::closed);
+        if reason.is_some() && !self.pause_noted {
+            // What scenes left that went elsewhere may be all that is too much.
+            self.reclaim();
+            reason = self.terms.disk.as_mut().and_then(DiskGate::closed);
+        }
+        if reason.is_some() != self.pause_noted {
+            let noted = self.terms.engine.note_pause(&self.terms.name, reason.as_deref());
+            if self.answered(noted)?.is_some() {
+                self.pause_noted = reason.is_some();
+                (self.terms.tell)(&match &reason {
+                    Some(reason) => BatchEvent::WorkerPaused { reason: reason.clone() },
+                    None => BatchEvent::WorkerResumed,
+                });
+            }
+        }
+        Ok(reason.is_some())
+    }
+
+    /// Removes what scenes left that this machine has not got now.
+    fn reclaim(&self) {
+        let here: Vec<&SceneJob> = self.assignments.iter().map(|a| &a.worker.scene).collect();
+        self.terms.host.reclaim(&here);
+    }
+
+    /// Whether the disk is at fault for a failure, by its words.
+    fn is_refused_by_disk(&self, words: &str) -> bool {
+        self.terms.disk.as_ref().is_some_and(|disk| disk.refused(words))
+    }
+
+    /// Whether an assignment has ended because of the disk.
+    fn ended_by_disk(&self, assignment: &Assignment) -> bool {
+        let worker = &assignment.worker;
+        match &assignment.ended {
+            None | Some(Ended::Code(Some(0))) => false,
+            Some(Ended::Code(_)) if worker.stop_requested => false,
+            Some(Ended::Code(code)) => self.is_refused_by_disk(&worker.last_words(&self.terms.files, *code)),
+            Some(Ended::NotStarted(_, words)) => self.is_refused_by_disk(words),
+        }
+    }
+
+    /// The words of a failure; of one of the disk, with the machine that has it.
+    fn named(&self, full: bool, words: String) -> String {
+        match self.terms.disk.as_ref().filter(|_| full) {
+            Some(disk) => disk.words(&self.terms.name, &words),
+            None => words,
+        }
+    }
+
+    /// Notes what the end of a scene says of the disk: it is done, or the disk was full. A full one is freed as far as it can be.
+    fn count_disk(&mut self, done: bool, full: bool) {
+        if full {
+            self.reclaim();
+        }
+        match &mut self.terms.disk {
+            Some(disk) if full => disk.fill(),
+            Some(disk) if done => disk.done(),
+            _ => {}
+        }
     }
 
     /// Lets every assignment go on, and books those that are over; returns whether any is.
@@ -276,10 +352,13 @@ impl Crew<'_> {
                     i += 1;
                 }
                 Step::Over => {
-                    if self.book(i)? {
+                    let full = self.ended_by_disk(&self.assignments[i]);
+                    if self.book(i, full)? {
                         let ended = self.assignments.remove(i);
                         let done = matches!(ended.ended, Some(Ended::Code(Some(0))));
-                        self.terms.host.leave(&ended.worker.scene, !done);
+                        // What is here of a scene that filled the disk goes: it continues from what is stored.
+                        self.terms.host.leave(&ended.worker.scene, !done && !full);
+                        self.count_disk(done, full);
                         changed = true;
                     } else {
                         i += 1;
@@ -290,8 +369,8 @@ impl Crew<'_> {
         Ok(changed)
     }
 
-    /// Books how an assignment ended; `false` where the engine does not answer now.
-    fn book(&mut self, i: usize) -> Result<bool, EngineError> {
+    /// Books how an assignment ended, because of a `full` disk or not; `false` where the engine does not answer now.
+    fn book(&mut self, i: usize, full: bool) -> Result<bool, EngineError> {
         let assignment = &self.assignments[i];
         let worker = &assignment.worker;
         let (lease, scene) = (worker.lease.clone(), worker.scene.name.clone());
@@ -322,12 +401,12 @@ impl Crew<'_> {
                 Ok(true)
             }
             Some(Ended::Code(code)) => {
-                let error = worker.last_words(&self.terms.files, *code);
+                let error = self.named(full, worker.last_words(&self.terms.files, *code));
                 let class = (self.terms.classify)(*code);
                 self.failed(&lease, class, &error)
             }
             Some(Ended::NotStarted(class, error)) => {
-                let (class, error) = (*class, error.clone());
+                let (class, error) = (*class, self.named(full, error.clone()));
                 self.failed(&lease, class, &error)
             }
         }

@@ -28,6 +28,12 @@ pub(super) enum FarmServerError {
     /// The file with the credentials cannot be used.
     #[error("cannot read the credentials {}: {source}", file.display())]
     Credentials { file: PathBuf, source: std::io::Error },
+    /// The file with the certificates cannot be read.
+    #[error("cannot read the certificates {}: {source}", file.display())]
+    Certificates { file: PathBuf, source: std::io::Error },
+    /// Its certificate is by nobody who is trusted, is for another name, or is not valid now.
+    #[error("its certificate is not trusted: {0}; --certificates names who signed it")]
+    Untrusted(#[source] ClientError),
     /// It keeps no logs.
     #[error("it runs without JetStream; start it with -js")]
     NoJetStream,

@@ -524,6 +524,18 @@ fn wait<T: Send + 'static>(
     pending.wait().unwrap_or_else(|_| Err(FarmServerError::Ended))
 }
 
+/// Whether an error is, or comes from, a certificate that is not trusted: another try ends in the same way.
+fn is_untrusted(error: &(dyn std::error::Error + 'static)) -> bool {
+    let wrong = |error: &(dyn std::error::Error + 'static)| {
+        // An error of the system that wraps another one is no source of it.
+        let inner = error.downcast_ref::<std::io::Error>().and_then(|error| error.get_ref());
+        let tls = inner.and_then(|inner| inner.downcast_ref::<rustls::Error>());
+        let tls = tls.or_else(|| error.downcast_ref::<rustls::Error>());
+        matches!(tls, Some(rustls::Error::InvalidCertificate(_)))
+    };
+    std::iter::successors(Some(error), |error| error.source()).any(wrong)
+}
+
 /// Connects, and makes the farm's log where there is none.
 async fn open(
     address: &FarmAddress,
@@ -541,6 +553,9 @@ async fn open(
         options = options.credentials_file(file).await.map_err(wrong)?;
     }
     if let Some(file) = &access.certificates {
+        // The client would try it again and again.
+        let wrong = |source| FarmServerError::Certificates { file: file.clone(), source };
+        std::fs::File::open(file).map_err(wrong)?;
         options = options.add_root_certificates(file.clone());
     }
     let connect = || async {
@@ -548,6 +563,7 @@ async fn open(
             ConnectErrorKind::Authentication | ConnectErrorKind::AuthorizationViolation => {
                 RequestError::Final(FarmServerError::Refused(error.into()))
             }
+            _ if is_untrusted(&error) => RequestError::Final(FarmServerError::Untrusted(error.into())),
             _ => RequestError::passing(error),
         })
     };

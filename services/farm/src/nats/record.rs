@@ -166,6 +166,9 @@ fn message_of(transition: &Transition) -> v1::JobTransition {
         Transition::ClockSet { seconds, since } => {
             Change::ClockSet(v1::ClockSet { seconds: *seconds, since: *since })
         }
+        Transition::Paused { worker, reason } => {
+            Change::Paused(v1::WorkerPaused { worker: worker.clone(), reason: reason.clone() })
+        }
         Transition::TimesMoved { seconds, since } => {
             Change::TimesMoved(v1::TimesMoved { seconds: *seconds, since: *since })
         }
@@ -209,6 +212,7 @@ fn transition_of(message: v1::JobTransition) -> Result<Transition, LogRecordErro
             whole: Needs { cores: m.cores, memory_bytes: m.memory_bytes, accelerators: m.accelerators },
             accelerator: m.accelerator,
         },
+        Change::Paused(m) => Transition::Paused { worker: m.worker, reason: m.reason },
         Change::ClockSet(m) => {
             finite(m.seconds.abs())?;
             Transition::ClockSet { seconds: m.seconds, since: m.since }
@@ -278,6 +282,8 @@ mod tests {
             Transition::Kept { job: job(), worker: "w".into(), keep_s: 300.0 },
             Transition::Announced { worker: "w".into(), whole: needs, accelerator: Some("h100".into()) },
             Transition::Announced { worker: "w".into(), whole: needs, accelerator: None },
+            Transition::Paused { worker: "w".into(), reason: Some("r".into()) },
+            Transition::Paused { worker: "w".into(), reason: None },
             Transition::ClockSet { seconds: -5.0, since: 7 },
             Transition::TimesMoved { seconds: 5.0, since: 7 },
             Transition::RestEnded { job: job() },

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use segwild_flow::{files, lock};
+use segwild_flow::{FileError, files, lock};
 
 use super::scene::FarmScene;
 use crate::artefacts::{ArtefactDigest, ArtefactError, ArtefactSession};
@@ -37,13 +37,13 @@ impl FarmHost {
 
     fn note_stored(&self, scene: &SceneJob, artefact: &str) -> Result<(), HostFailure> {
         let file = self.stored_file(scene);
-        file.parent().map_or(Ok(()), std::fs::create_dir_all).map_err(|e| at(&file, &e))?;
+        file.parent().map_or(Ok(()), std::fs::create_dir_all).map_err(|e| at("write", &file, e))?;
         files::write_atomic(&file, artefact.as_bytes()).map_err(HostFailure::passing)
     }
 }
 
-fn at(path: &Path, error: &std::io::Error) -> HostFailure {
-    HostFailure::passing(format!("{}: {error}", path.display()))
+fn at(action: &'static str, path: &Path, error: std::io::Error) -> HostFailure {
+    HostFailure::passing(FileError::new(action, path, error))
 }
 
 fn failure(error: ArtefactError) -> HostFailure {
@@ -54,9 +54,16 @@ fn failure(error: ArtefactError) -> HostFailure {
     HostFailure { class, words: error.to_string() }
 }
 
+/// The folders in a folder; none where it is not there.
+fn folders_in(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let folders = entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir()));
+    folders.map(|entry| entry.path()).collect()
+}
+
 fn removed(folder: &Path) -> Result<(), HostFailure> {
     match std::fs::remove_dir_all(folder) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(at(folder, &error)),
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(at("remove", folder, error)),
         _ => Ok(()),
     }
 }
@@ -125,5 +132,23 @@ impl SceneHost for FarmHost {
         }
         // It may not be there.
         let _ = std::fs::remove_file(self.stored_file(scene));
+    }
+
+    fn reclaim(&self, here: &[&SceneJob]) {
+        let used = lock(&self.used);
+        let runs = self.folder.join("runs");
+        let mut unwanted = folders_in(&self.folder.join("inputs"));
+        unwanted.retain(|input| !used.contains_key(input));
+        unwanted.extend(folders_in(&runs).iter().flat_map(|batch| folders_in(batch)));
+        unwanted.retain(|folder| !here.iter().any(|scene| scene.path == *folder || scene.out == *folder));
+        for folder in unwanted {
+            if let Err(failure) = removed(&folder) {
+                tracing::warn!(%failure, "what a scene left cannot be removed");
+            }
+            if let Ok(name) = folder.strip_prefix(&runs) {
+                // It may not be there.
+                let _ = std::fs::remove_file(self.folder.join("stored").join(name));
+            }
+        }
     }
 }

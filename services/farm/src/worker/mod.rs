@@ -23,7 +23,7 @@ use self::host::FarmHost;
 pub use self::scene::{FarmScene, FarmSceneError};
 pub(crate) use self::scene::{artefact_of, parts};
 use crate::artefacts::ArtefactSession;
-use crate::crew::{BatchEvent, CrewTerms, SceneFiles, StopBatch};
+use crate::crew::{BatchEvent, CrewTerms, DiskGate, SceneFiles, StopBatch};
 use crate::engine::{EngineError, ErrorClass, JobEngine};
 use crate::job::Needs;
 use crate::machine;
@@ -44,6 +44,8 @@ pub struct WorkerTerms<'a> {
     pub patience_s: f64,
     /// How often the state of a scene that runs is stored.
     pub store_every: Duration,
+    /// No further scene is taken while the disk of the folder has less than so many bytes free.
+    pub least_free_bytes: u64,
     /// Whether it ends when no job is open.
     pub drain: bool,
     /// The program whose `run` command runs a scene.
@@ -102,6 +104,7 @@ pub fn work(terms: WorkerTerms<'_>, tell: &mut dyn FnMut(&BatchEvent)) -> Result
     let name = name_of(&folder)?;
     // The lock says that whoever held leases under this name is gone.
     terms.engine.release(Some(&name), "the worker was started again")?;
+    terms.engine.note_pause(&name, None)?;
     let stopped = CrewTerms {
         engine: terms.engine,
         name,
@@ -115,6 +118,7 @@ pub fn work(terms: WorkerTerms<'_>, tell: &mut dyn FnMut(&BatchEvent)) -> Result
         stop: terms.stop,
         files: SceneFiles::of(&folder),
         host: Arc::new(FarmHost::new(&folder, terms.artefacts)),
+        disk: Some(DiskGate::new(folder.clone(), terms.least_free_bytes)),
         tell,
     }
     .work()?;

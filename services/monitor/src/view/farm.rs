@@ -89,6 +89,9 @@ pub struct FarmWorkerView {
     pub returned: u64,
     /// Scenes that it fell silent with.
     pub silent: u64,
+    /// Why it takes no scenes for now; absent where it takes them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub paused: Option<String>,
     /// Time since its last sign of life, in seconds: it renews leases every 20 s, and announces itself every 60 s while it holds
     /// nothing.
     pub seen_s: f64,
@@ -151,6 +154,7 @@ impl FarmView {
                 failed: count(|tally| tally.failed),
                 returned: count(|tally| tally.returned),
                 silent: count(|tally| tally.silent),
+                paused: tally.and_then(|tally| tally.paused.clone()),
                 seen_s: (now - tally.map_or(renewed, |tally| tally.seen)).max(0.0),
                 whole: tally.and_then(|tally| tally.whole),
                 used,

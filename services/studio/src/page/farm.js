@@ -25,7 +25,7 @@ function machine(w) {
   const { used, whole } = w, cores = share(used.cores, whole?.cores);
   return [
     w.name, whole?.cores ? bar(text("farm_cores", w.name), used.cores / whole.cores, cores) : cores, share(mib(used.memory_bytes), whole && mib(whole.memory_bytes)),
-    [share(used.accelerators, whole?.accelerators), w.accelerator].filter(Boolean).join(" "), String(w.held), duration(w.seen_s),
+    [share(used.accelerators, whole?.accelerators), w.accelerator].filter(Boolean).join(" "), String(w.held), [duration(w.seen_s), w.paused].filter(Boolean).join(": "),
     w.done_per_hour.toFixed(1), String(w.done), String(w.failed), String(w.silent),
   ];
 }
