@@ -7,25 +7,33 @@ use std::time::{Duration, Instant};
 /// A server of its own with its store in a folder; ends with this value.
 pub struct NatsServer {
     child: Child,
+    host: String,
     pub port: u16,
     folder: PathBuf,
+    flags: Vec<String>,
 }
 
 impl NatsServer {
     /// `None` where no server is installed.
     pub fn start(folder: &Path) -> Option<NatsServer> {
-        Self::start_at(folder, None)
+        Self::start_with(folder, "127.0.0.1", &[])
     }
 
-    pub fn start_at(folder: &Path, port: Option<u16>) -> Option<NatsServer> {
+    /// At an address of this machine, with further flags.
+    pub fn start_with(folder: &Path, host: &str, flags: &[String]) -> Option<NatsServer> {
+        Self::start_at(folder, host, flags, None)
+    }
+
+    fn start_at(folder: &Path, host: &str, flags: &[String], port: Option<u16>) -> Option<NatsServer> {
         let ports = folder.join("ports");
         let _ = std::fs::remove_dir_all(&ports);
         std::fs::create_dir_all(&ports).unwrap();
         let spawned = Command::new("nats-server")
-            .args(["-a", "127.0.0.1", "-p", &port.map_or("-1".into(), |port| port.to_string()), "-js", "-sd"])
+            .args(["-a", host, "-p", &port.map_or("-1".into(), |port| port.to_string()), "-js", "-sd"])
             .arg(folder.join("store"))
             .arg("--ports_file_dir")
             .arg(&ports)
+            .args(flags)
             .stdout(Stdio::null())
             .stderr(Stdio::null())
             .spawn();
@@ -44,7 +52,8 @@ impl NatsServer {
             let read: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
             let url = read["nats"][0].as_str().map(str::to_owned);
             if let Some(port) = url.and_then(|url| url.rsplit(':').next()?.parse().ok()) {
-                return Some(NatsServer { child, port, folder: folder.to_owned() });
+                let (host, folder, flags) = (host.to_owned(), folder.to_owned(), flags.to_vec());
+                return Some(NatsServer { child, host, port, folder, flags });
             }
             assert!(began.elapsed() < Duration::from_secs(20), "the server does not start");
             std::thread::park_timeout(Duration::from_millis(10));
@@ -53,7 +62,7 @@ impl NatsServer {
 
     /// The address of a farm on it.
     pub fn farm(&self, name: &str) -> String {
-        format!("nats://127.0.0.1:{}/{name}", self.port)
+        format!("nats://{}:{}/{name}", self.host, self.port)
     }
 
     pub fn kill(&mut self) {
@@ -63,8 +72,8 @@ impl NatsServer {
 
     /// Starts it again on its port and its store.
     pub fn restart(&mut self) {
-        let (folder, port) = (self.folder.clone(), self.port);
-        let mut started = NatsServer::start_at(&folder, Some(port)).unwrap();
+        let port = Some(self.port);
+        let mut started = NatsServer::start_at(&self.folder, &self.host, &self.flags, port).unwrap();
         std::mem::swap(&mut self.child, &mut started.child);
     }
 }

@@ -1,8 +1,12 @@
 //! Disks that are full or cannot be written: a sentence and an exit code, nothing lost.
 
 use crate::common::*;
-use std::path::PathBuf;
+use crate::farm::nats_server::NatsServer;
+use crate::farm::{batch, engine, log, manifest, worker};
+use segwild_farm::JobEngine;
+use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::Duration;
 
 #[test]
 fn a_full_disk_is_reported_and_loses_nothing() {
@@ -86,6 +90,12 @@ impl Mounted {
         let mount = Command::new("mount").args(["-t", "tmpfs", "-o", options, "tmpfs"]).arg(&at).output();
         mount.is_ok_and(|o| o.status.success()).then_some(Mounted(at))
     }
+
+    fn remount(&self, options: &str) {
+        let options = format!("remount,{options}");
+        let done = Command::new("mount").args(["-o", &options]).arg(&self.0).status();
+        assert!(done.expect("`mount` is there").success());
+    }
 }
 impl Drop for Mounted {
     fn drop(&mut self) {
@@ -105,14 +115,10 @@ fn a_really_full_and_a_really_read_only_disk_are_reported() {
     let args = again(&disk.0.join("run"), &[]);
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
     refuses(&args, 6, &["error:", "disk is full"]);
-    let remount = |options: &str| {
-        let done = Command::new("mount").args(["-o", options]).arg(&disk.0).status();
-        assert!(done.expect("`mount` is there").success());
-    };
-    remount("remount,ro");
+    disk.remount("ro");
     refuses(&args, 6, &["error:", "read"]);
     works(&["status", &show(&disk.0.join("run"))]);
-    remount("remount,rw,size=100m");
+    disk.remount("rw,size=100m");
     works(&args);
     same_as_untouched(&disk.0.join("run"));
 }
@@ -153,4 +159,58 @@ fn a_cache_that_cannot_be_written_stops_the_run_and_gives_no_photo_up() {
         completes(&again(&run, &[]));
         has_all_of(&run, &expected);
     }
+}
+
+/// Bytes of a folder's files on a disk that gives out whole pages.
+fn on_disk(folder: &Path) -> u64 {
+    let entries = std::fs::read_dir(folder).expect("a folder").flatten();
+    let bytes = |path: PathBuf| match path.is_dir() {
+        true => on_disk(&path),
+        false => std::fs::metadata(&path).expect("it is there").len().next_multiple_of(4096),
+    };
+    entries.map(|entry| bytes(entry.path())).sum()
+}
+
+#[test]
+fn a_worker_on_a_full_disk_takes_no_scene_until_there_is_space() {
+    let dir = folder();
+    let path = dir.path();
+    // Space for the photos, and hardly more.
+    let size = format!("size={}k", on_disk(&shared_run().scene) / 1024 + 300);
+    let Some(disk) = Mounted::new(path.join("small"), &size) else {
+        eprintln!(
+            "skipped: a_worker_on_a_full_disk_takes_no_scene_until_there_is_space: mounting is not allowed here"
+        );
+        return;
+    };
+    let Some(server) = NatsServer::start(path) else { return };
+    let (farm, scenes) = (server.farm("f"), manifest(path, &["a", "b"]));
+    let handed = batch(path, &farm, &scenes, &["--no-wait"]).wait_with_output().expect("it ends");
+    assert!(handed.status.success(), "{}", text(&handed.stderr));
+    let _small = worker(path, &farm, "small", &["--least-free", "0"]);
+    until("its full disk", || log(path, "small").contains("takes no scene").then_some(()));
+    let words = log(path, "small");
+    assert!(words.contains("night/a failed, tries again") && words.contains("free some space"), "{words}");
+    let status = works(&["status", "--farm", &farm]);
+    assert!(status.contains("takes no scene") && status.contains(&show(&disk.0)), "{status}");
+    // By now it would have taken the other scene, and failed that as well.
+    rest(Duration::from_millis(1500));
+    assert!(!log(path, "small").contains("night/b"), "{}", log(path, "small"));
+    // The rest of the failed scene is over: another worker finishes it.
+    let jobs = engine(&farm);
+    jobs.pass(10.0).expect("the server answers");
+    let _second = worker(path, &farm, "second", &[]);
+    until("the scene on another worker", || log(path, "second").contains("night/a begins").then_some(()));
+    disk.remount("size=200m");
+    until("the other scene", || log(path, "small").contains("night/b begins").then_some(()));
+    assert!(log(path, "small").contains("takes scenes again"), "{}", log(path, "small"));
+    let ended = batch(path, &farm, &scenes, &[]).wait_with_output().expect("it ends");
+    assert_eq!(ended.status.code(), Some(0), "{}", text(&ended.stderr));
+    for scene in ["a", "b"] {
+        same_as_untouched(&path.join("night").join(scene));
+    }
+    let failures: Vec<u32> = jobs.jobs().expect("it answers").iter().map(|job| job.failures).collect();
+    assert_eq!(failures, [1, 0], "one scene filled the disk");
+    let status = works(&["status", "--farm", &farm]);
+    assert!(!status.contains("takes no scene"), "{status}");
 }

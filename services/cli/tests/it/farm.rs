@@ -5,12 +5,13 @@ pub mod nats_server;
 
 use crate::common::*;
 use nats_server::NatsServer;
+use segwild_farm::{FarmAccess, NatsEngine};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 /// A manifest of scenes that are all the shared run's.
-fn manifest(dir: &Path, scenes: &[&str]) -> PathBuf {
+pub fn manifest(dir: &Path, scenes: &[&str]) -> PathBuf {
     let settings: Vec<String> = QUICK
         .chunks(2)
         .map(|flag| {
@@ -29,9 +30,14 @@ fn manifest(dir: &Path, scenes: &[&str]) -> PathBuf {
 }
 
 /// A worker with a folder of its own and one core, with what it writes into a file.
-fn worker(dir: &Path, farm: &str, name: &str, more: &[&str]) -> Guarded {
+pub fn worker(dir: &Path, farm: &str, name: &str, more: &[&str]) -> Guarded {
+    worker_by(Command::new(env!("CARGO_BIN_EXE_segwild")), dir, farm, name, more)
+}
+
+/// The same, started by a command that ends in the program.
+pub fn worker_by(mut program: Command, dir: &Path, farm: &str, name: &str, more: &[&str]) -> Guarded {
     let log = std::fs::File::options().create(true).append(true).open(dir.join(format!("{name}.log")));
-    let child = Command::new(env!("CARGO_BIN_EXE_segwild"))
+    let child = program
         .args(["worker", "--farm", farm, "--needs", "cores=1,memory=2", "--store-every", "1", "--work"])
         .arg(dir.join(name))
         .args(more)
@@ -42,13 +48,20 @@ fn worker(dir: &Path, farm: &str, name: &str, more: &[&str]) -> Guarded {
     Guarded(child)
 }
 
-fn batch(dir: &Path, farm: &str, manifest: &Path, more: &[&str]) -> Child {
+pub fn batch(dir: &Path, farm: &str, manifest: &Path, more: &[&str]) -> Child {
     let args = ["batch", &show(manifest), "--out", &show(&dir.join("night")), "--farm", farm];
     start(&[&args[..], more].concat().iter().map(|s| (*s).to_owned()).collect::<Vec<_>>())
 }
 
-fn log(dir: &Path, name: &str) -> String {
+/// What a worker wrote.
+pub fn log(dir: &Path, name: &str) -> String {
     std::fs::read_to_string(dir.join(format!("{name}.log"))).unwrap_or_default()
+}
+
+/// A handle of the farm, which lets time pass and reads what became of its jobs.
+pub fn engine(farm: &str) -> NatsEngine {
+    let (address, access) = (farm.parse().expect("an address"), FarmAccess::default());
+    NatsEngine::connect(&address, &access, "test", Duration::from_secs(20)).expect("a farm")
 }
 
 #[test]
