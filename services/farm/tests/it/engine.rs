@@ -170,6 +170,26 @@ fn job(id: &str) -> Job {
 }
 
 #[test]
+fn a_pause_of_a_worker_is_noted_until_it_ends_or_the_worker_takes_a_job() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let engine = EmbeddedEngine::open(folder.path().join("jobs.sqlite")).expect("an engine");
+    let tallies = || engine.tallies().expect("it reads");
+    let paused = || tallies().get("w").and_then(|tally| tally.paused.clone());
+    let note = |reason: Option<&str>| engine.note_pause("w", reason).expect("it writes");
+    note(None);
+    assert!(tallies().is_empty(), "there was nothing to note");
+    note(Some("its disk is full"));
+    assert_eq!(paused().as_deref(), Some("its disk is full"));
+    note(None);
+    assert_eq!(paused(), None);
+    note(Some("its disk is full"));
+    engine.publish(&job("a")).expect("it writes");
+    let whole = Needs { cores: 1, ..Needs::default() };
+    let lease = engine.claim(&WorkerOffer::all("w", whole, 60.0)).expect("it writes");
+    assert!(lease.is_some() && paused().is_none(), "who takes a job is not paused");
+}
+
+#[test]
 fn what_was_published_survives_its_process() {
     let site = Here {
         folder: tempfile::tempdir().unwrap(),
