@@ -179,14 +179,15 @@ fn what_is_wrong_with_a_farm_is_named_in_words() {
     );
 }
 
-/// A script of `deploy/slurm/` as Slurm starts it. `scontrol` is a stand-in that writes down how it is called, to `scontrol.log`;
-/// what the script prints goes to `slurm.log`.
+/// A script of `deploy/slurm/` as Slurm starts it. `scontrol` is a stand-in that writes down how it is called, to `scontrol.log`,
+/// and ends the script, as Slurm does with a job that it requeues; what the script prints goes to `slurm.log`.
 fn under_slurm(dir: &Path, script: &str) -> Command {
     let tools = dir.join("bin");
     if !tools.exists() {
         std::fs::create_dir(&tools).expect("a folder");
         std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_segwild"), tools.join("segwild")).expect("a link");
-        let stand_in = format!("#!/bin/sh\necho \"$@\" >> {}\n", show(&dir.join("scontrol.log")));
+        let log = show(&dir.join("scontrol.log"));
+        let stand_in = format!("#!/bin/sh\necho \"$@\" >> {log}\nkill -KILL $PPID\n");
         std::fs::write(tools.join("scontrol"), stand_in).expect("it writes");
         let made = Command::new("chmod").arg("+x").arg(tools.join("scontrol")).status();
         assert!(made.expect("`chmod` is there").success());
@@ -230,7 +231,7 @@ fn a_worker_under_slurm_hands_its_scene_back_when_its_time_is_over_and_is_requeu
     let mut child = Guarded(child);
     until("its beginning", || log_of(path).contains("begins").then_some(()));
     signal(&child.0, "-TERM");
-    assert!(child.0.wait().expect("it ends").success(), "{}", log_of(path));
+    assert_eq!(child.0.wait().expect("it ends").code(), None, "{}", log_of(path));
     assert!(log_of(path).contains("other workers continue"), "{}", log_of(path));
     assert_eq!(scontrol_calls(path), "requeue 7", "{}", log_of(path));
     let left = std::fs::read_dir(path.join("node")).map(|files| files.count()).unwrap_or_default();
@@ -261,7 +262,7 @@ fn a_scene_under_slurm_fails_with_bad_photos_and_is_requeued_when_its_time_is_ov
     let run = path.join("runs").join(scene().file_name().expect("a name"));
     until("its beginning", || run.join("run.lock").exists().then_some(()));
     signal(&stopped.0, "-TERM");
-    assert!(stopped.0.wait().expect("it ends").success(), "{}", log_of(path));
+    assert_eq!(stopped.0.wait().expect("it ends").code(), None, "{}", log_of(path));
     assert_eq!(scontrol_calls(path), "requeue 7", "{}", log_of(path));
 }
 
