@@ -84,7 +84,7 @@ fn a_worker_that_is_cut_off_loses_its_scene_to_another_and_goes_on_when_the_netw
     let _first = network.worker(path, &farm, "first");
     until("a stored state", || log(path, "first").contains("is stored").then_some(()));
     network.link("down");
-    // Its process computes on, and nobody can be told. The lease ends, and after it the rest of the scene.
+    // Its process computes on, and its worker reaches nobody. The lease ends, and a moment later another may take the scene.
     jobs.pass(70.0).expect("the server answers");
     let second = worker(path, &farm, "second", &[]);
     let count = |kind: ChangeKind| jobs.count(kind).expect("the server answers");

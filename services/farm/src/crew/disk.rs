@@ -165,7 +165,7 @@ mod tests {
         assert!(names_disk(&error), "{error}");
         let other = FileError::new("read", Path::new("/work/a"), ErrorKind::NotFound.into()).to_string();
         assert!(!names_disk(&other), "{other}");
-        let words = gate.words("w", "exit code 6: no word");
-        assert!(words.starts_with("on w: the disk of ") && words.ends_with("(exit code 6: no word)"), "{words}");
+        let words = gate.words("w", "exit code 6");
+        assert!(words.starts_with("on w: the disk of ") && words.ends_with("(exit code 6)"), "{words}");
     }
 }

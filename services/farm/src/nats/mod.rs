@@ -533,7 +533,7 @@ fn is_untrusted(error: &(dyn std::error::Error + 'static)) -> bool {
         let tls = tls.or_else(|| error.downcast_ref::<rustls::Error>());
         matches!(tls, Some(rustls::Error::InvalidCertificate(_)))
     };
-    std::iter::successors(Some(error), |error| error.source()).any(wrong)
+    std::iter::successors(Some(error), |&error| error.source()).any(wrong)
 }
 
 /// Connects, and makes the farm's log where there is none.
