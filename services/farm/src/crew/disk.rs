@@ -58,9 +58,14 @@ impl DiskGate {
     }
 
     fn fill_at(&mut self, free: Option<u64>, now: Instant) {
+        let enough_bytes = free.map_or(u64::MAX, |free| free.saturating_add(LEAST_MORE.max(free / 4)));
+        if let Some(filled) = &mut self.filled {
+            // The scenes of a machine end one after the other on the same full disk.
+            filled.enough_bytes = enough_bytes;
+            return;
+        }
         let rest = (RESTS[0] * 2u32.pow(self.times.min(8))).min(RESTS[1]);
         self.times = self.times.saturating_add(1);
-        let enough_bytes = free.map_or(u64::MAX, |free| free.saturating_add(LEAST_MORE.max(free / 4)));
         self.filled = Some(FilledDisk { at: now, rest, enough_bytes });
     }
 
@@ -138,7 +143,11 @@ mod tests {
         let reason = gate.closed_at(Some(400 * MIB), after(1)).expect("that was not enough");
         assert!(reason.contains("/work") && reason.contains("500 MiB"), "{reason}");
         assert!(gate.closed_at(Some(499 * MIB), after(1)).is_some());
-        assert_eq!(gate.closed_at(Some(500 * MIB), after(1)), None);
+        // Another scene ends on the same full disk: no second rest, and what is free is more now.
+        gate.fill_at(Some(800 * MIB), after(2));
+        assert_eq!(gate.times, 1);
+        assert!(gate.closed_at(Some(999 * MIB), after(3)).is_some());
+        assert_eq!(gate.closed_at(Some(1000 * MIB), after(3)), None);
         assert_eq!(gate.closed_at(Some(0), after(1)), None, "it has forgotten");
         // Again, and again: 10 minutes, 20, at most an hour.
         for (times, rest) in [(2, 600), (3, 1200), (4, 2400), (5, 3600), (90, 3600)] {
