@@ -1,10 +1,12 @@
 //! Files of splats that another program trained: what wrote them, and the splats as this program holds them.
 //!
-//! Read are 3D Gaussian splatting's `.ply` in the forms that programs write (docs/reference/imports.md), `.compressed.ply`,
-//! `.splat` and `.spz`. What a file is follows from its content; only `.splat`, which has no head, is known by its name.
+//! Read are 3D Gaussian splatting's `.ply` in the forms that programs write (docs/reference/imports.md),
+//! `.compressed.ply`, `.splat`, `.spz` and `.glb`. What a file is follows from its content; only `.splat`, which has no
+//! head, is known by its name.
 
 mod compressed;
 mod filter;
+mod glb;
 mod program;
 mod quantised;
 mod spz;
@@ -35,6 +37,8 @@ pub enum SplatLayout {
     Splat,
     /// Niantic's `.spz`.
     Spz,
+    /// Binary glTF with `KHR_gaussian_splatting`.
+    Glb,
 }
 
 impl SplatLayout {
@@ -45,6 +49,7 @@ impl SplatLayout {
             SplatLayout::CompressedPly => ".compressed.ply",
             SplatLayout::Splat => ".splat",
             SplatLayout::Spz => ".spz",
+            SplatLayout::Glb => ".glb",
         }
     }
 }
@@ -134,6 +139,11 @@ impl SplatFile {
             let writer = SplatWriter::of_spz(head.antialias);
             let (splats, sh_degree) = (head.splats, head.sh_degree());
             SplatFile { path, layout: SplatLayout::Spz, splats, sh_degree, writer }
+        } else if glb::is_glb(&start) {
+            let head = glb::head(&path, &start)?;
+            let writer = SplatWriter::of_glb(head.generator.as_deref(), head.antialias);
+            let (splats, sh_degree) = (head.splats, head.sh_degree);
+            SplatFile { path, layout: SplatLayout::Glb, splats, sh_degree, writer }
         } else if start.starts_with(b"ply") {
             of_ply(path, &start)?
         } else if ending == "splat" {
@@ -166,6 +176,7 @@ impl SplatFile {
         let splats = match self.layout {
             SplatLayout::Splat => ply::splat_of_bytes(path, &bytes)?,
             SplatLayout::Spz => spz::read(path, &bytes)?,
+            SplatLayout::Glb => glb::read(path, &bytes, MOST_SPLATS)?,
             SplatLayout::CompressedPly => compressed::read(path, &bytes, &Header::parse(path, &bytes)?)?,
             SplatLayout::Ply => {
                 let mut splats = ply::of_bytes(path, &bytes)?;
@@ -246,11 +257,12 @@ fn last_iteration(folder: &Path) -> Result<PathBuf, SceneError> {
 
 fn unknown(path: &Path, ending: &str) -> SceneError {
     let reason = match ending {
-        "sog" | "json" | "ksplat" | "lcc" | "glb" | "gltf" => format!(
+        "sog" | "json" | "ksplat" | "lcc" => format!(
             "`.{ending}` is not read: `splat-transform {} splats.ply` writes it as .ply (npm install -g @playcanvas/splat-transform)",
             path.display()
         ),
-        _ => "it is no file of splats: .ply, .compressed.ply, .splat and .spz are read".to_owned(),
+        "gltf" => "glTF in several files is not read: pack it into one .glb".to_owned(),
+        _ => "it is no file of splats: .ply, .compressed.ply, .splat, .spz and .glb are read".to_owned(),
     };
     SceneError::invalid(path, "the start of the file", reason)
 }

@@ -59,9 +59,14 @@ impl SplatWriter {
         writer
     }
 
+    /// Of what the description of a `.glb` says.
+    pub(super) fn of_glb(generator: Option<&str>, antialias: Option<bool>) -> SplatWriter {
+        // glTF has y up; read in the axes of `.ply`, y points down.
+        SplatWriter { program: generator.map(plain), up: Some(UpAxis::MinusY), antialias }
+    }
+
     fn name(&mut self, program: &str) {
-        let plain = program.chars().filter(|c| !c.is_control()).take(LONGEST).collect();
-        self.program.get_or_insert(plain);
+        self.program.get_or_insert_with(|| plain(program));
     }
 
     /// In words, after the form of the file.
@@ -76,6 +81,11 @@ impl SplatWriter {
             None => by,
         }
     }
+}
+
+/// Words of a file as they are repeated to a person: short, and without control characters.
+pub(super) fn plain(words: &str) -> String {
+    words.chars().filter(|c| !c.is_control()).take(LONGEST).collect()
 }
 
 /// The axis that a comment names. For Brush `y` is the axis of the viewer: it writes COLMAP's own world, where y points down.

@@ -1,7 +1,8 @@
 //! Splats of other programs, as their files hold them.
 
-use glam::Mat3;
-use segwild_scene::{SplatFile, SplatLayout, Splats, UpAxis, ply};
+use glam::{DVec3, Mat3, Vec3};
+use segwild_scene::{Export, SceneFrame, SplatFile, SplatLayout, Splats, UpAxis, ply};
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
 fn file(name: &str) -> PathBuf {
@@ -44,6 +45,7 @@ fn what_another_program_packed_is_what_it_was() {
         ("six.compressed.ply", SplatLayout::CompressedPly, [0.006, 0.002, 0.003, 0.02, 0.02]),
         ("six-v3.spz", SplatLayout::Spz, [2e-4, 0.04, 0.003, 0.08, 0.07]),
         ("six-v4.spz", SplatLayout::Spz, [2e-4, 0.04, 0.003, 0.08, 0.07]),
+        ("six.glb", SplatLayout::Glb, [1e-6, 1e-6, 1e-6, 1e-5, 1e-6]),
     ];
     for (name, layout, most) in cases {
         let path = file(name);
@@ -58,14 +60,16 @@ fn what_another_program_packed_is_what_it_was() {
         let off = differences(&whole, &packed.select(&order));
         assert!(off.iter().zip(most).all(|(off, most)| *off <= most), "{name}: {off:?} of {most:?}");
     }
-    let by = SplatFile::open(&file("six.compressed.ply")).unwrap().writer.program;
-    assert_eq!(by.as_deref(), Some("splat-transform 2.7.1"));
+    for name in ["six.compressed.ply", "six.glb"] {
+        let by = SplatFile::open(&file(name)).unwrap().writer.program;
+        assert_eq!(by.as_deref(), Some("splat-transform 2.7.1"));
+    }
 }
 
 #[test]
 fn packed_files_that_are_cut_or_changed_are_refused_in_words() {
     let dir = tempfile::tempdir().unwrap();
-    for name in ["six.compressed.ply", "six-v3.spz", "six-v4.spz"] {
+    for name in ["six.compressed.ply", "six-v3.spz", "six-v4.spz", "six.glb"] {
         let whole = std::fs::read(file(name)).unwrap();
         let path = dir.path().join(name);
         let refused = |bytes: &[u8]| {
@@ -80,7 +84,8 @@ fn packed_files_that_are_cut_or_changed_are_refused_in_words() {
             assert!(message.contains(name), "{message}");
         }
         // A head that promises more than there is.
-        let at = whole.windows(8).position(|w| w == b"vertex 6").map_or(8, |at| at + 7);
+        let counts = |w: &[u8]| w == b"vertex 6" || w == b"count\":6";
+        let at = whole.windows(8).position(counts).map_or(8, |at| at + 7);
         let mut more = whole.clone();
         more[at] = b'9';
         if name != "six-v3.spz" {
@@ -97,6 +102,174 @@ fn packed_files_that_are_cut_or_changed_are_refused_in_words() {
         let message = SplatFile::open(&path).unwrap_err().to_string();
         assert!(message.contains(words) && message.contains("strange.sog"), "{message}");
     }
+}
+
+#[test]
+fn a_glb_that_this_program_wrote_comes_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("own.glb");
+    let frame = SceneFrame { origin: DVec3::new(1.0, -2.0, 3.0), scale: 2.5 };
+    for sh_degree in 0..=3 {
+        let stride = 3 * (sh_degree as usize + 1).pow(2);
+        let splats = Splats {
+            means: vec![[1.0, -2.0, 0.5], [3.0, 4.0, -5.0], [-0.1, 0.0, 9.0]],
+            log_scales: vec![[-3.0, 0.0, 2.0], [-9.0, -1.0, -1.5], [0.1; 3]],
+            rotations: vec![[0.6, 0.0, -0.8, 0.0], [0.5; 4], [0.1, 0.7, -0.7, 0.1]],
+            // One is almost transparent, one opaque.
+            opacities: vec![-18.0, 0.3, 12.0],
+            sh_degree,
+            sh: (0..3 * stride).map(|i| (i as f32).sin()).collect(),
+        };
+        for antialias in [true, false] {
+            Export { frame: &frame, antialias, extra: &[] }.write(&path, &splats).unwrap();
+            let file = SplatFile::open(&path).unwrap();
+            assert_eq!((file.layout, file.sh_degree), (SplatLayout::Glb, sh_degree));
+            assert_eq!((file.writer.antialias, file.writer.up), (Some(antialias), Some(UpAxis::MinusY)));
+            assert!(file.writer.program.unwrap().starts_with("segwild "));
+            let off = differences(&splats.to_file_frame(&frame), &read(&path));
+            assert!(off.iter().zip([1e-6, 2e-6, 1e-6, 1e-5, 1e-6]).all(|(off, most)| *off <= most), "{off:?}");
+        }
+    }
+    let logit = read(&path).opacities[0];
+    assert!((logit + 18.0).abs() < 1e-4, "a small opacity keeps its logarithm: {logit}");
+}
+
+/// A `.glb` of a description and its data.
+fn glb(description: &Value, data: &[u8]) -> Vec<u8> {
+    let mut json = description.to_string().into_bytes();
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let word = |n: usize| (n as u32).to_le_bytes();
+    let length = 12 + 8 + json.len() + 8 + data.len();
+    let header = [&b"glTF"[..], &word(2)[..], &word(length)[..], &word(json.len())[..], &b"JSON"[..]].concat();
+    [&header[..], &json[..], &word(data.len())[..], &b"BIN\0"[..], data].concat()
+}
+
+/// Two splats whose numbers stand between each other in 40 bytes each, their opacities and rotations as whole numbers,
+/// at a node that turns, scales and moves them below another.
+fn mixed() -> (Value, Vec<u8>) {
+    let mut data = Vec::new();
+    for x in [1.0f32, -1.0] {
+        data.extend([x, 0.0, 0.0].iter().flat_map(|v| v.to_le_bytes()));
+        data.extend([0.5f32, 0.25, 0.125].iter().flat_map(|v| v.to_le_bytes()));
+        data.extend([0.1f32, 0.2, 0.3].iter().flat_map(|v| v.to_le_bytes()));
+        // The rotation about x by half a turn, as shares of 127, and then the opacities of both, as shares of 255.
+        data.extend([127, 0, 0, 0]);
+    }
+    data.extend([51, 204, 0, 0]);
+    let accessor = |view: u32, offset: u32, component: u32, shape: &str| {
+        json!({
+            "bufferView": view, "byteOffset": offset, "componentType": component, "count": 2, "type": shape,
+            "normalized": component != 5126
+        })
+    };
+    let document = json!({
+        "asset": { "version": "2.0" },
+        "extensionsUsed": ["KHR_gaussian_splatting"],
+        "scenes": [{ "nodes": [1] }],
+        "nodes": [
+            { "mesh": 0, "scale": [2.0, 2.0, 2.0], "rotation": [0.0, 0.0, 0.5f64.sqrt(), 0.5f64.sqrt()] },
+            { "children": [0], "translation": [0.0, 0.0, 10.0] }
+        ],
+        "meshes": [{ "primitives": [
+            { "attributes": { "POSITION": 0 } },
+            {
+                "attributes": {
+                    "POSITION": 0,
+                    "KHR_gaussian_splatting:SCALE": 1,
+                    "KHR_gaussian_splatting:SH_DEGREE_0_COEF_0": 2,
+                    "KHR_gaussian_splatting:ROTATION": 3,
+                    "KHR_gaussian_splatting:OPACITY": 4
+                },
+                "extensions": { "KHR_gaussian_splatting": { "kernel": "ellipse", "colorSpace": "srgb_rec709_display" } }
+            }
+        ] }],
+        "accessors": [
+            accessor(0, 0, 5126, "VEC3"),
+            accessor(0, 12, 5126, "VEC3"),
+            accessor(0, 24, 5126, "VEC3"),
+            accessor(0, 36, 5120, "VEC4"),
+            accessor(1, 0, 5121, "SCALAR")
+        ],
+        "bufferViews": [
+            { "buffer": 0, "byteOffset": 0, "byteLength": 80, "byteStride": 40 },
+            { "buffer": 0, "byteOffset": 80, "byteLength": 4 }
+        ],
+        "buffers": [{ "byteLength": 84 }]
+    });
+    (document, data)
+}
+
+#[test]
+fn a_glb_is_read_with_its_nodes_strides_and_whole_numbers() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("mixed.glb");
+    let (document, data) = mixed();
+    std::fs::write(&path, glb(&document, &data)).unwrap();
+    let splats = read(&path);
+    assert_eq!((splats.len(), splats.sh_degree), (2, 0));
+    // A quarter of a turn about z takes x to y, twice as far; half a turn about z leads to the axes of `.ply`.
+    for (i, y) in [(0, -2.0), (1, 2.0)] {
+        assert!((splats.mean(i) - Vec3::new(0.0, y, 10.0)).length() < 1e-5, "{:?}", splats.means);
+        let variances = splats.covariance(i);
+        assert!(variances.abs_diff_eq(Mat3::from_diagonal(Vec3::new(0.25, 1.0, 0.0625)), 1e-5), "{variances}");
+    }
+    assert!((splats.opacity(0) - 0.2).abs() < 1e-6 && (splats.opacity(1) - 0.8).abs() < 1e-6);
+    assert_eq!(splats.sh, [0.1, 0.2, 0.3, 0.1, 0.2, 0.3]);
+}
+
+#[test]
+fn a_glb_that_is_no_plain_splats_is_refused_in_words() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("odd.glb");
+    let (whole, data) = mixed();
+    let form = "/meshes/0/primitives/1/extensions/KHR_gaussian_splatting";
+    let cases = [
+        ("/nodes/0/scale", json!([2.0, 2.0, 1.0]), "squeezes or mirrors"),
+        ("/nodes/0/scale", json!([2.0, 2.0, -2.0]), "squeezes or mirrors"),
+        ("/nodes/0/children", json!([1]), "two parents"),
+        ("/nodes/0/mesh", json!(7), "no mesh 7"),
+        ("/scenes/0/nodes", json!([]), "no splats"),
+        ("/extensionsRequired", json!(["EXT_meshopt_compression"]), "EXT_meshopt_compression"),
+        ("/accessors/0/count", json!(3), "cut short"),
+        ("/accessors/1/count", json!(1), "1 values for 2 splats"),
+        ("/accessors/1/type", json!("VEC4"), "`VEC3` is read"),
+        ("/accessors/1/componentType", json!(5125), "a type"),
+        ("/accessors/1/sparse", json!({ "count": 1 }), "sparse"),
+        ("/accessors/1/byteOffset", json!(70), "cut short"),
+        ("/accessors/1/byteOffset", json!(u64::MAX), "cut short"),
+        ("/bufferViews/0/byteStride", json!(8), "overlap"),
+        ("/bufferViews/0/byteLength", json!(40), "cut short"),
+        ("/bufferViews/0/byteOffset", json!(u64::MAX), "cut short"),
+        ("/bufferViews/1/buffer", json!(1), "another file"),
+        ("/buffers/0/uri", json!("data.bin"), "another file"),
+    ];
+    let changed = |pointer: &str, value: &Value| {
+        let mut document = whole.clone();
+        let (parent, name) = pointer.rsplit_once('/').unwrap();
+        document.pointer_mut(parent).unwrap()[name] = value.clone();
+        document
+    };
+    let refused = |document: &Value| {
+        std::fs::write(&path, glb(document, &data)).unwrap();
+        let read = SplatFile::open(&path).and_then(|file| file.read());
+        read.expect_err("it is no plain splats").to_string()
+    };
+    for (pointer, value, words) in cases {
+        let message = refused(&changed(pointer, &value));
+        assert!(message.contains(words) && message.contains("odd.glb"), "{pointer}: {message}");
+    }
+    for (name, value, words) in [
+        ("kernel", json!("sphere"), "`sphere`"),
+        ("colorSpace", json!("lin_rec709_display"), "`lin_rec709_display`"),
+        ("extensions", json!({ "KHR_gaussian_splatting_compression_spz_2": {} }), "compression_spz_2"),
+    ] {
+        let message = refused(&changed(&format!("{form}/{name}"), &value));
+        assert!(message.contains(words), "{name}: {message}");
+    }
+    let mut missing = whole.clone();
+    let attributes = "/meshes/0/primitives/1/attributes";
+    missing.pointer_mut(attributes).unwrap()["KHR_gaussian_splatting:SH_DEGREE_1_COEF_2"] = json!(2);
+    assert!(refused(&missing).contains("degree 1 is missing"), "{}", refused(&missing));
 }
 
 /// A `.ply` with this head and a row of numbers per splat.

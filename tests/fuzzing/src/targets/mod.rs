@@ -24,6 +24,7 @@ pub const TARGETS: &[FuzzTarget] = &[
     scenes::PLY_SPLATS,
     scenes::PLY_POINTS,
     scenes::IMPORTED_SPLATS,
+    scenes::GLB_SPLATS,
     scenes::SPLAT,
     photos::PNG,
     photos::JPEG,

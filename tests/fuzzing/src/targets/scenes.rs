@@ -224,19 +224,44 @@ pub(super) const IMPORTED_SPLATS: FuzzTarget = FuzzTarget {
     },
     words: PLY,
     seal: seal::nothing,
-    read: |bytes| {
-        let path = folder("imported_splats").join("input.ply");
-        put(&path, bytes);
-        // Few splats: what a head promises is read only as far as it is there.
-        let few = |file: &SplatFile| file.splats < 100_000;
-        if let Some(read) = SplatFile::open(&path).ok().filter(few).and_then(|file| file.read().ok()) {
-            let splats = read.splats;
-            assert!(!splats.is_empty(), "a file without splats was read");
-            assert!(splats.means.iter().flatten().all(|v| v.is_finite()), "a splat lies nowhere");
-            assert_eq!(splats.sh.len(), splats.len() * splats.sh_stride(), "the arrays do not fit");
-        }
-    },
+    read: |bytes| import("imported_splats", bytes),
 };
+
+pub(super) const GLB_SPLATS: FuzzTarget = FuzzTarget {
+    name: "glb_splats",
+    seeds: || vec![include_bytes!("../../../../services/scene/tests/files/six.glb").to_vec()],
+    words: &[
+        "\"count\":4294967295",
+        "\"byteOffset\":18446744073709551615",
+        "\"byteStride\":1,",
+        "\"children\":[0],",
+        "\"scale\":[0,1,1],",
+        "\"matrix\":[",
+        "\"nodes\":[0,0,0]",
+        "\"componentType\":5120",
+        "\"normalized\":true,",
+        "\"type\":\"VEC4\"",
+        "SH_DEGREE_3_COEF_6",
+        "1e999",
+        "glTF",
+    ],
+    seal: seal::nothing,
+    read: |bytes| import("glb_splats", bytes),
+};
+
+/// Reads splats of another program; what the file is follows from its content.
+fn import(target: &str, bytes: &[u8]) {
+    let path = folder(target).join("input.ply");
+    put(&path, bytes);
+    // Few splats: what a head promises is read only as far as it is there.
+    let few = |file: &SplatFile| file.splats < 100_000;
+    if let Some(read) = SplatFile::open(&path).ok().filter(few).and_then(|file| file.read().ok()) {
+        let splats = read.splats;
+        assert!(!splats.is_empty(), "a file without splats was read");
+        assert!(splats.means.iter().flatten().all(|v| v.is_finite()), "a splat lies nowhere");
+        assert_eq!(splats.sh.len(), splats.len() * splats.sh_stride(), "the arrays do not fit");
+    }
+}
 
 pub(super) const SPLAT: FuzzTarget = FuzzTarget {
     name: "splat",
