@@ -5,7 +5,7 @@ use crate::page::{PageError, io};
 use crate::point::{PointError, name_of};
 use segwild_eval::metrics::psnr;
 use segwild_eval::protocols::folder::objects;
-use segwild_eval::record::{Provenance, Record, Results, means};
+use segwild_eval::record::{LPIPS_COLUMNS, Provenance, Record, Results, means};
 use segwild_eval::stamp;
 use segwild_eval::trial::TrialError;
 use segwild_flow::{cpu, files};
@@ -121,8 +121,6 @@ fn one(options: &ReconstructionOptions, path: &Path, size: u32, seed: u64) -> Re
     let mut whole = record(
         "",
         &[
-            ("psnr", held_out.psnr.into()),
-            ("ssim", held_out.ssim.into()),
             ("kept_psnr", held_out.kept_psnr.into()),
             ("left_out", held_out.left_out.into()),
             ("train_psnr", fit(|f| f.psnr)),
@@ -135,6 +133,8 @@ fn one(options: &ReconstructionOptions, path: &Path, size: u32, seed: u64) -> Re
             ("cpu_s", cpu_s.unwrap_or(f64::NAN)),
         ],
     );
+    // PSNR and SSIM, and LPIPS where its weights are given, of the photos at the size of the run.
+    whole.numbers.extend(held_out.numbers());
     whole.notes.push(held_out.protocol.clone());
     let mut records = vec![whole];
     // Each photo is read once: none is kept.
@@ -228,6 +228,13 @@ pub fn markdown(results: &Results, images: bool) -> String {
         stamp::title("Reconstruction", &by),
         stamp::stamp(&results.made, &by),
     );
+    let measured = |name: &str| results.records.iter().any(|r| r.numbers.contains_key(name));
+    let lpips: Vec<(&str, &str)> = LPIPS_COLUMNS.into_iter().filter(|(name, _)| measured(name)).collect();
+    let lpips_heads: String = lpips.iter().map(|(_, words)| format!(" {words} |")).collect();
+    let lpips_rules = "---:|".repeat(lpips.len());
+    if !lpips.is_empty() {
+        text += "\nLPIPS scores the same parts of the photos as PSNR, at the size that the heading names; less is better.\n";
+    }
     let mut sizes: Vec<f64> = results.records.iter().filter_map(|r| r.at).collect();
     sizes.sort_by(f64::total_cmp);
     sizes.dedup();
@@ -235,8 +242,8 @@ pub fn markdown(results: &Results, images: bool) -> String {
         let of_size: Vec<&Record> = results.records.iter().filter(|r| r.at == Some(size)).collect();
         let _ = write!(
             text,
-            "\n## {size} px\n\n| scene | photos | held out: dB | SSIM | kept: dB | left out % | training photos: dB | transient % | splats | steps | CPU s | scored |\n\
-             |---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---|\n"
+            "\n## {size} px\n\n| scene | photos | held out: dB | SSIM |{lpips_heads} kept: dB | left out % | training photos: dB | transient % | splats | steps | CPU s | scored |\n\
+             |---|---:|---:|---:|{lpips_rules}---:|---:|---:|---:|---:|---:|---:|---|\n"
         );
         let mut scenes: Vec<&str> = Vec::new();
         of_size.iter().for_each(|r| {
@@ -256,9 +263,11 @@ pub fn markdown(results: &Results, images: bool) -> String {
                 Some(value) => format!("{:.digits$}", factor * value),
                 None => "-".into(),
             };
+            let of_lpips: String =
+                lpips.iter().map(|(name, _)| format!(" {} |", cell(name, 1.0, 3))).collect();
             let _ = writeln!(
                 text,
-                "| {scene} | {:.0} + {:.0} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} |",
+                "| {scene} | {:.0} + {:.0} | {} | {} |{of_lpips} {} | {} | {} | {} | {} | {} | {} | {} |",
                 of("photos") - of("held_out"),
                 of("held_out"),
                 cell("psnr", 1.0, 2),
@@ -347,14 +356,18 @@ mod tests {
             notes: vec!["whole photo".into()],
             ..Record::default()
         };
-        let results = Results {
+        let mut results = Results {
             records: vec![record(""), record("horse")],
             missing: vec!["fern at 320 px: it is not there".into()],
             ..Results::default()
         };
+        let unmeasured = markdown(&results, true);
+        assert!(unmeasured.contains("| trevi | 17 + 3 | 20.12 | - | - | 5.1 |") && !unmeasured.contains("LPIPS"));
+        results.records[0].numbers.insert("lpips_alex".into(), 0.2134);
         let text = markdown(&results, true);
         for words in [
-            "| trevi | 17 + 3 | 20.12 | - | - | 5.1 |",
+            "| trevi | 17 + 3 | 20.12 | - | 0.213 | - | 5.1 |",
+            "| SSIM | LPIPS (alex) | kept: dB |",
             "| trevi | horse | 20.12 |",
             "trevi-320-1.png",
             "Not measured: fern",

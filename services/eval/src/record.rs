@@ -7,6 +7,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+/// The numbers of LPIPS in records, each with the heading of its column: one per network, since distances of one do not
+/// compare with those of the other. Tables have the columns that were measured.
+pub const LPIPS_COLUMNS: [(&str, &str); 2] = [("lpips_vgg", "LPIPS (vgg)"), ("lpips_alex", "LPIPS (alex)")];
+
 /// One measurement: which scene, under which setting, and the numbers.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Record {

@@ -6,7 +6,7 @@ use super::synthetic::SURFACES;
 use crate::ablation::Variant;
 use crate::baselines::{BASELINES, named_after, row};
 use crate::metrics::Spread;
-use crate::record::{Record, Results};
+use crate::record::{LPIPS_COLUMNS, Record, Results};
 use crate::stamp::{self, provider, providers};
 use segwild_scene::statistics::quantile;
 use std::collections::{BTreeMap, BTreeSet};
@@ -244,10 +244,7 @@ pub fn paper_ablation(results: &Results) -> String {
 pub fn held_out(results: &Results) -> String {
     // LPIPS has a column where it was measured, one per network.
     let has = |name: &str| results.records.iter().any(|r| r.numbers.contains_key(name));
-    let lpips: Vec<(&str, &str)> = [("lpips_vgg", "LPIPS (vgg)"), ("lpips_alex", "LPIPS (alex)")]
-        .into_iter()
-        .filter(|(name, _)| has(name))
-        .collect();
+    let lpips: Vec<(&str, &str)> = LPIPS_COLUMNS.into_iter().filter(|(name, _)| has(name)).collect();
     let mut text = String::from("| scene | row | provider | PSNR | SSIM |");
     lpips.iter().for_each(|(_, words)| text += &format!(" {words} |"));
     text += "\n|---|---|---|---:|---:|";

@@ -8,7 +8,7 @@ use crate::operators::use_threads;
 use crate::output::{print_json, print_line};
 use clap::{Arg, ArgMatches, Command};
 use segwild_bench::reconstruction::{ReconstructionOptions, reconstruction as measure_all, write};
-use segwild_eval::record::Record;
+use segwild_eval::record::{LPIPS_COLUMNS, Record};
 use segwild_pipeline::Settings;
 use std::path::PathBuf;
 
@@ -65,9 +65,13 @@ fn tell(records: &[Record]) -> Result<(), Failure> {
     for r in records {
         let size = r.at.unwrap_or_default();
         let of = |name: &str| r.numbers.get(name).copied().unwrap_or(f64::NAN);
+        let lpips: String = LPIPS_COLUMNS
+            .iter()
+            .filter_map(|(name, words)| r.numbers.get(*name).map(|value| format!(", {words} {value:.3}")))
+            .collect();
         print_line(&if r.target.is_empty() {
             format!(
-                "{} {size} px: held out {:.2} dB, SSIM {:.3}; training photos {:.2} dB, {:.1} % taken for transients; {:.0} CPU-s",
+                "{} {size} px: held out {:.2} dB, SSIM {:.3}{lpips}; training photos {:.2} dB, {:.1} % taken for transients; {:.0} CPU-s",
                 r.scene,
                 of("psnr"),
                 of("ssim"),
