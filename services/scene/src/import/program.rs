@@ -38,6 +38,7 @@ impl SplatWriter {
 
     pub(super) fn of_ply(header: &Header) -> SplatWriter {
         let mut writer = SplatWriter::default();
+        let mut axis = None;
         for comment in &header.comments {
             let lower = comment.to_lowercase();
             if let Some(start) = SIGNATURES.iter().find(|start| lower.starts_with(**start)) {
@@ -46,15 +47,25 @@ impl SplatWriter {
                 writer.name(&comment.split_whitespace().skip(skipped).collect::<Vec<_>>().join(" "));
             } else if lower.contains("lichtfeld_provenance") {
                 writer.name("LichtFeld Studio");
-            } else if let Some(axis) = lower.strip_prefix("vertical axis:") {
-                writer.up = up_axis(axis.trim(), &writer);
+            } else if let Some(named) = lower.strip_prefix("vertical axis:") {
+                axis = Some(named.trim().to_owned());
             } else if let Some(mode) = lower.strip_prefix("splatrendermode:") {
-                writer.antialias = Some(mode.trim() == "mip");
+                // Brush's modes; splats of any other are rendered both ways and compared with the photos.
+                writer.antialias = match mode.trim() {
+                    "mip" => Some(true),
+                    "default" | "2dgs" => Some(false),
+                    _ => writer.antialias,
+                };
             } else if let Some(flag) = lower.strip_prefix("antialiased ") {
                 writer.name("Postshot");
-                writer.antialias = Some(flag.trim() == "1");
+                writer.antialias = match flag.trim() {
+                    "1" => Some(true),
+                    "0" => Some(false),
+                    _ => writer.antialias,
+                };
             }
         }
+        writer.up = axis.and_then(|axis| up_axis(&axis, &writer));
         writer.program = writer.program.or_else(|| by_layout(header));
         writer
     }
@@ -66,7 +77,8 @@ impl SplatWriter {
     }
 
     fn name(&mut self, program: &str) {
-        self.program.get_or_insert_with(|| plain(program));
+        // nerfstudio spells itself `Nerstudio`.
+        self.program.get_or_insert_with(|| plain(&program.replace("Nerstudio", "nerfstudio")));
     }
 
     /// In words, after the form of the file.
@@ -105,7 +117,7 @@ fn by_layout(header: &Header) -> Option<String> {
     let names: Vec<&str> = vertex.names().collect();
     let after_position = *names.get(3)?;
     if header.element("chunk").is_some() {
-        return Some("PlayCanvas".to_owned());
+        return Some("PlayCanvas, or in its layout".to_owned());
     }
     Some(
         match after_position {
