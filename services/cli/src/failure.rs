@@ -132,9 +132,10 @@ fn poses_code(error: &PosesError) -> u8 {
         | PosesError::Video { .. }
         | PosesError::Scene(_) => exit::INPUT,
         // Another machine may have the program.
-        PosesError::NoColmap { .. } | PosesError::NoFfmpeg { .. } | PosesError::Program(_) => {
-            exit::INCOMPLETE
-        }
+        PosesError::NoColmap { .. }
+        | PosesError::NoGlomap { .. }
+        | PosesError::NoFfmpeg { .. }
+        | PosesError::Program(_) => exit::INCOMPLETE,
         PosesError::Stopped => exit::INTERRUPTED,
     }
 }

@@ -12,6 +12,8 @@ pub struct Colmap {
     pub version: String,
     /// Whether it computes on a GPU.
     pub has_cuda: bool,
+    /// Whether it has GLOMAP within it, as `global_mapper`.
+    pub(crate) has_global_mapper: bool,
 }
 
 impl Colmap {
@@ -19,9 +21,15 @@ impl Colmap {
     pub fn find() -> Option<Colmap> {
         let program = find_program("colmap")?;
         let text = program_output(&program, &["help"]).ok()?;
+        Colmap::of_help(program, &text)
+    }
+
+    /// What its help tells.
+    pub(crate) fn of_help(program: PathBuf, text: &str) -> Option<Colmap> {
         let version = text.lines().next()?.split(" -- ").next()?.trim().to_owned();
         let has_cuda = text.lines().take(3).any(|line| line.contains("with CUDA"));
-        version.starts_with("COLMAP").then_some(Colmap { program, version, has_cuda })
+        let has_global_mapper = text.lines().any(|line| line.trim() == "global_mapper");
+        version.starts_with("COLMAP").then_some(Colmap { program, version, has_cuda, has_global_mapper })
     }
 
     /// Its file.
@@ -34,27 +42,42 @@ impl Colmap {
     /// # Errors
     /// It cannot be started.
     pub(crate) fn command(&self, name: &str) -> Result<ColmapCommand, PosesError> {
-        let started = |source| ProgramError::Start { program: format!("colmap {name}"), source };
-        let help = program_output(&self.program, &[name, "-h"]).map_err(started)?;
-        Ok(ColmapCommand { help, arguments: vec![name.to_owned()] })
+        ColmapCommand::of(&self.program, name)
     }
 }
 
-/// A command of COLMAP and its options.
+/// A command of COLMAP, or of a program that takes its options.
 pub(crate) struct ColmapCommand {
     help: String,
     arguments: Vec<String>,
 }
 
 impl ColmapCommand {
+    /// The command of a name, without options.
+    ///
+    /// # Errors
+    /// The program cannot be started.
+    pub fn of(program: &Path, name: &str) -> Result<ColmapCommand, PosesError> {
+        let stem = program.file_stem().unwrap_or_default().to_string_lossy();
+        let started = |source| ProgramError::Start { program: format!("{stem} {name}"), source };
+        let help = program_output(program, &[name, "-h"]).map_err(started)?;
+        Ok(ColmapCommand::with_help(name, help))
+    }
+
+    /// The command whose help is this one.
+    pub fn with_help(name: &str, help: impl Into<String>) -> ColmapCommand {
+        ColmapCommand { help: help.into(), arguments: vec![name.to_owned()] }
+    }
+
+    /// Whether this version knows an option.
+    pub fn knows(&self, name: &str) -> bool {
+        self.help.split_whitespace().any(|word| word.strip_prefix("--") == Some(name))
+    }
+
     /// Adds an option by the first of its names that this version knows; names changed in version 3.13. An option that it
     /// does not know is left at what the version does without it.
     pub fn option(mut self, names: &[&str], value: impl ToString) -> ColmapCommand {
-        let knows = |name: &&&str| {
-            let mut words = self.help.split_whitespace();
-            words.any(|word| word.strip_prefix("--") == Some(name))
-        };
-        match names.iter().find(knows) {
+        match names.iter().find(|name| self.knows(name)) {
             Some(name) => self.arguments.extend([format!("--{name}"), value.to_string()]),
             None => tracing::warn!("colmap {} has no option {}", self.arguments[0], names.join(" or ")),
         }
@@ -86,13 +109,26 @@ mod tests {
 
     #[test]
     fn options_are_named_as_the_version_knows_them() {
-        let command = |help: &str| ColmapCommand { help: help.into(), arguments: vec!["extractor".into()] };
+        let command = |help: &str| ColmapCommand::with_help("extractor", help);
         let names = ["SiftExtraction.use_gpu", "FeatureExtraction.use_gpu"];
         let old = command("  --SiftExtraction.use_gpu arg (=1)").option(&names, 0).arguments();
         assert_eq!(old, ["extractor", "--SiftExtraction.use_gpu", "0"]);
         let new = command("  --FeatureExtraction.use_gpu arg (=1)").option(&names, 0).arguments();
         assert_eq!(new, ["extractor", "--FeatureExtraction.use_gpu", "0"]);
         assert_eq!(command("  --other arg").option(&names, 0).arguments(), ["extractor"]);
+    }
+
+    #[test]
+    fn the_help_names_version_gpu_and_global_mapper() {
+        let of = |text: &str| Colmap::of_help("colmap".into(), text);
+        let old = "COLMAP 3.8 -- Structure-from-Motion\n  (Commit Unknown on Unknown without CUDA)\n\n\
+                   Available commands:\n  help\n  hierarchical_mapper\n  mapper\n";
+        let old = of(old).unwrap();
+        assert_eq!((&*old.version, old.has_cuda, old.has_global_mapper), ("COLMAP 3.8", false, false));
+        let new = "COLMAP 4.0.1 -- Structure-from-Motion\n  (Commit 1a2b on 2026-01-01 with CUDA)\n  global_mapper\n";
+        let new = of(new).unwrap();
+        assert_eq!((&*new.version, new.has_cuda, new.has_global_mapper), ("COLMAP 4.0.1", true, true));
+        assert_eq!(of("another program"), None);
     }
 
     #[test]

@@ -17,6 +17,17 @@ pub enum PosesError {
         /// The photos.
         path: PathBuf,
     },
+    /// GLOMAP is named by a setting, and there is none.
+    #[error(
+        "`mapper` is glomap, and there is none for the photos in {path}: COLMAP has no `global_mapper` here, and the \
+         program `glomap` is not found on the PATH; install a newer COLMAP or GLOMAP (https://github.com/colmap/glomap), \
+         or run again with `--mapper colmap`",
+        path = path.display()
+    )]
+    NoGlomap {
+        /// The photos.
+        path: PathBuf,
+    },
     /// The frames of a video cannot be taken without ffmpeg.
     #[error(
         "{path} is a video, and ffmpeg, which takes photos out of it, is not found on the PATH: install it (Debian, Ubuntu: \

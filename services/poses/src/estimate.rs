@@ -3,16 +3,18 @@
 use crate::colmap::{ColmapCommand, numbers_in};
 use crate::features::{lens_groups, within_memory};
 use crate::folder::{PoseInputs, stamps};
-use crate::models::{PhotoFacts, read_models};
+use crate::mapper::{self, MapperFiles};
+use crate::models::{PhotoFacts, PoseModel, read_models};
 use crate::record::{PosesDone, PosesRecord};
 use crate::{
-    Colmap, Ffmpeg, PairChoice, PoseLimits, PosePlan, PoseSettings, PoseSource, PoseSpan, PoseStep,
-    PosesError, PosesFolder, pairs,
+    Colmap, Ffmpeg, Glomap, PairChoice, PoseLimits, PoseMapper, PosePlan, PoseSettings, PoseSource, PoseSpan,
+    PoseStep, PosesError, PosesFolder, pairs,
 };
 use segwild_flow::{Events, FileError, ProgramError, ProgramRunner, StageProgress, Stopper, files};
 use segwild_scene::{SceneSettings, UnposedPhotos};
+use std::collections::BTreeSet;
 use std::io::ErrorKind;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Name of the stage in events.
@@ -30,6 +32,8 @@ struct Estimation<'a> {
     events: &'a Events,
     programs: ProgramRunner<'a>,
     colmap: Colmap,
+    /// The global mapper, where there is one and the settings allow it.
+    glomap: Option<Glomap>,
     progress: StageProgress,
     spans: Vec<PoseSpan>,
     of_video: bool,
@@ -51,6 +55,14 @@ impl PosesFolder {
     ) -> Result<Vec<PoseSpan>, PosesError> {
         let missing = || PosesError::NoColmap { path: source.path().to_owned() };
         let colmap = Colmap::find().ok_or_else(missing)?;
+        let glomap = match settings.mapper {
+            PoseMapper::Colmap => None,
+            _ => Glomap::find(Some(&colmap)),
+        };
+        // Before hours are spent on what comes first.
+        if settings.mapper == PoseMapper::Glomap && glomap.is_none() {
+            return Err(PosesError::NoGlomap { path: source.path().to_owned() });
+        }
         std::fs::create_dir_all(self.path())
             .map_err(|e| FileError::new("create the folder", self.path(), e))?;
         let mut estimation = Estimation {
@@ -60,6 +72,7 @@ impl PosesFolder {
             events,
             programs: ProgramRunner { log: Some(self.path().join("colmap.log")), stopper },
             colmap,
+            glomap,
             progress: events.stage(STAGE, None),
             spans: Vec::new(),
             of_video: matches!(source, PoseSource::Video(_)),
@@ -179,11 +192,22 @@ impl Estimation<'_> {
     fn colmap(
         &mut self,
         command: ColmapCommand,
+        line: impl FnMut(&str, &mut StageProgress),
+    ) -> Result<(), PosesError> {
+        let program = self.colmap.program().to_owned();
+        self.child(&program, &command.arguments(), line)
+    }
+
+    /// Runs a program; `line` as for [`Estimation::colmap`].
+    fn child(
+        &mut self,
+        program: &Path,
+        arguments: &[String],
         mut line: impl FnMut(&str, &mut StageProgress),
     ) -> Result<(), PosesError> {
         let (events, progress) = (self.events, &mut self.progress);
         let (mut lines, mut shown) = (0_u32, Instant::now());
-        self.programs.run(self.colmap.program(), &command.arguments(), |text| {
+        self.programs.run(program, arguments, |text| {
             lines += 1;
             // A bundle adjustment of many photos takes minutes in which no unit is done.
             if shown.elapsed() > SIGN_OF_LIFE {
@@ -213,7 +237,7 @@ impl Estimation<'_> {
             if left.is_empty() {
                 continue;
             }
-            let list = self.folder.path().join("photos.txt");
+            let list = self.list();
             files::write_atomic(&list, left.join("\n").as_bytes())?;
             let mut command = self
                 .colmap
@@ -319,46 +343,114 @@ impl Estimation<'_> {
     /// Poses and points: the models of all photos, and the reasons of photos without a pose.
     fn model(&mut self, photos: &UnposedPhotos, plan: &PosePlan) -> Result<PosesDone, PosesError> {
         let count = photos.photos.len();
-        let (list, models) = (self.folder.path().join("photos.txt"), self.folder.models());
         let names: Vec<&str> = photos.photos.iter().map(|photo| photo.name.as_str()).collect();
-        files::write_atomic(&list, names.join("\n").as_bytes())?;
-        remove(&models)?;
-        std::fs::create_dir_all(&models).map_err(|e| FileError::new("create the folder", &models, e))?;
-        let command = self
-            .colmap
-            .command("mapper")?
-            .path("database_path", &self.folder.database())
-            .path("image_path", &photos.folder)
-            .path("image_list_path", &list)
-            .path("output_path", &models)
-            .option(&["Mapper.num_threads"], self.limits.threads)
-            .option(&["Mapper.min_model_size"], LEAST_PHOTOS);
+        files::write_atomic(&self.list(), names.join("\n").as_bytes())?;
+        let may_fall_back = self.settings.mapper == PoseMapper::Auto;
+        let glomap = self.global_mapper(&names)?;
+        let mut models = match &glomap {
+            None => Vec::new(),
+            Some(glomap) => match self.mapped_at_once(glomap, photos) {
+                Err(PosesError::Program(error)) if may_fall_back => {
+                    self.events.warn(Some(STAGE), error.to_string());
+                    Vec::new()
+                }
+                done => done?,
+            },
+        };
+        let mut by = glomap.as_ref().map_or(String::new(), |glomap| glomap.version.clone());
+        if models.is_empty() && (glomap.is_none() || may_fall_back) {
+            if glomap.is_some() {
+                self.events.warn(Some(STAGE), format!("{by} found no poses: COLMAP tries it photo by photo"));
+            }
+            models = self.mapped_one_by_one(photos)?;
+            by.clone_from(&self.colmap.version);
+        }
+        let facts = PhotoFacts::of(self.folder.open_database()?)?;
+        if models.is_empty() {
+            let reason = facts.nothing(count);
+            return Err(PosesError::NoModel { path: photos.folder.clone(), photos: count, reason });
+        }
+        let unposed = facts.unposed(names.into_iter(), &models);
+        let models = models.into_iter().map(|model| model.size).collect();
+        Ok(PosesDone { key: plan.key.to_string(), colmap: by, models, unposed })
+    }
+
+    /// The file with the names of the photos.
+    fn list(&self) -> PathBuf {
+        self.folder.path().join("photos.txt")
+    }
+
+    /// The global mapper, where it computes the poses of these photos.
+    fn global_mapper(&self, names: &[&str]) -> Result<Option<Glomap>, PosesError> {
+        let chosen = self.glomap.clone().filter(|_| mapper::is_global(self.settings.mapper, names.len()));
+        let Some(glomap) = chosen else { return Ok(None) };
+        if glomap.command()?.knows(mapper::LIST) {
+            return Ok(Some(glomap));
+        }
+        // It maps what the database holds: photos of before would take part.
+        let names: BTreeSet<&str> = names.iter().copied().collect();
+        let images = self.folder.images()?;
+        let gone = images.keys().filter(|name| !names.contains(name.as_str())).count();
+        if gone == 0 {
+            return Ok(Some(glomap));
+        }
+        let words = format!(
+            "{} would map {gone} photos that are gone: COLMAP's mapper is used (for {} remove {} and run again)",
+            glomap.version,
+            glomap.version,
+            self.folder.path().display()
+        );
+        self.events.warn(Some(STAGE), words);
+        Ok(None)
+    }
+
+    /// The models of a global mapper, the largest first.
+    fn mapped_at_once(
+        &mut self,
+        glomap: &Glomap,
+        photos: &UnposedPhotos,
+    ) -> Result<Vec<PoseModel>, PosesError> {
+        self.say(format!("{} finds the poses of {} photos at once", glomap.version, photos.photos.len()));
+        self.progress.next_part(None);
+        let (database, list, models) = (self.folder.database(), self.list(), self.empty_models()?);
+        let files =
+            MapperFiles { database: &database, photos: &photos.folder, list: &list, models: &models };
+        let arguments = files.at_once(glomap.command()?, self.limits.threads);
+        self.child(glomap.program(), &arguments, |_, _| {})?;
+        let mut models = read_models(&models)?;
+        models.retain(|model| model.size.photos >= LEAST_PHOTOS);
+        Ok(models)
+    }
+
+    /// The models of COLMAP's mapper, the largest first; none where it made none.
+    fn mapped_one_by_one(&mut self, photos: &UnposedPhotos) -> Result<Vec<PoseModel>, PosesError> {
+        let count = photos.photos.len();
+        let (database, list, models) = (self.folder.database(), self.list(), self.empty_models()?);
+        let files =
+            MapperFiles { database: &database, photos: &photos.folder, list: &list, models: &models };
+        let arguments = files.one_by_one(self.colmap.command("mapper")?, self.limits.threads, LEAST_PHOTOS);
         self.say(format!("{} finds the poses of {count} photos", self.colmap.version));
         self.progress.next_part(Some(count as u64));
-        let mapped = self.colmap(command, |line, progress| {
+        let program = self.colmap.program().to_owned();
+        let mapped = self.child(&program, &arguments, |line, progress| {
             if line.contains("Registering image #") {
                 let posed = numbers_in(line, '(', ')').first().copied().unwrap_or(0);
                 progress.advance(posed.saturating_sub(progress.done()));
             }
         });
         let models = read_models(&models)?;
-        let facts = PhotoFacts::of(self.folder.open_database()?)?;
         match mapped {
             // COLMAP reports a failure where it made no model.
-            Err(PosesError::Program(ProgramError::Failed { .. })) | Ok(()) if models.is_empty() => {
-                Err(PosesError::NoModel {
-                    path: photos.folder.clone(),
-                    photos: count,
-                    reason: facts.nothing(count),
-                })
-            }
-            Err(error) => Err(error),
-            Ok(()) => {
-                let unposed = facts.unposed(names.into_iter(), &models);
-                let models = models.into_iter().map(|model| model.size).collect();
-                let colmap = self.colmap.version.clone();
-                Ok(PosesDone { key: plan.key.to_string(), colmap, models, unposed })
-            }
+            Err(PosesError::Program(ProgramError::Failed { .. })) if models.is_empty() => Ok(models),
+            mapped => mapped.map(|()| models),
         }
+    }
+
+    /// The folder of the models, emptied.
+    fn empty_models(&self) -> Result<PathBuf, PosesError> {
+        let models = self.folder.models();
+        remove(&models)?;
+        std::fs::create_dir_all(&models).map_err(|e| FileError::new("create the folder", &models, e))?;
+        Ok(models)
     }
 }

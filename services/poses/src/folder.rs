@@ -4,7 +4,7 @@ use crate::database::{Database, ImageRow};
 use crate::models::others_in_words;
 use crate::pairs::decided;
 use crate::record::{FileStamp, PosesRecord};
-use crate::{PoseSettings, PoseSource, PosesError};
+use crate::{PoseMapper, PoseSettings, PoseSource, PosesError};
 use rayon::prelude::*;
 use segwild_flow::Key;
 use segwild_scene::{PosedPhotos, SceneError, SceneSettings, UnposedPhotos, few_of_photos};
@@ -155,6 +155,11 @@ impl PoseInputs {
             false => decided(settings.pair_choice, self.photos.len(), of_video),
         };
         let key = Key::of("poses").key("features", &self.features).value("pairs", pairs);
+        // What `auto` finds on a machine is no reason to compute poses again.
+        let key = match settings.mapper {
+            PoseMapper::Auto => key,
+            named => key.value("mapper", named),
+        };
         let of_photo = |key: segwild_flow::KeyBuilder, (name, stamp): (&String, &FileStamp)| {
             key.part("photo", name).part("content", &stamp.digest)
         };

@@ -11,7 +11,7 @@
 //! colmap.log    what the programs wrote
 //! ```
 //!
-//! COLMAP is searched on the `PATH` and nowhere else.
+//! COLMAP and GLOMAP are searched on the `PATH` and nowhere else.
 //!
 //! It computes no pose by itself, and reads no scene: [`segwild_scene::Scene::open`] reads reconstructions that are there,
 //! [`segwild_scene::Scene::open_posed`] the one that this crate leaves.
@@ -42,6 +42,7 @@ mod error;
 mod estimate;
 mod features;
 mod folder;
+mod mapper;
 mod models;
 mod pairs;
 mod record;
@@ -53,7 +54,8 @@ mod video;
 pub use colmap::Colmap;
 pub use error::PosesError;
 pub use folder::{PosePlan, PosesFolder};
-pub use settings::{CameraSharing, PairChoice, PoseSettings};
+pub use mapper::Glomap;
+pub use settings::{CameraSharing, PairChoice, PoseMapper, PoseSettings};
 pub use source::PoseSource;
 pub use step::{PoseLimits, PoseSpan, PoseStep};
 pub use video::Ffmpeg;

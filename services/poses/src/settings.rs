@@ -28,6 +28,18 @@ choice! {
     }
 }
 
+choice! {
+    /// Which program computes poses and points of the pairs.
+    pub enum PoseMapper {
+        /// `glomap` for more than 300 photos where it is found, else `colmap`.
+        Auto = "auto",
+        /// COLMAP's mapper, photo by photo.
+        Colmap = "colmap",
+        /// GLOMAP, all photos at once: `global_mapper` of a COLMAP that has it, else the program `glomap`.
+        Glomap = "glomap",
+    }
+}
+
 settings! {
     /// How the poses are computed of photos that come without, or of a video. COLMAP does it.
     pub struct PoseSettings("poses") {
@@ -35,6 +47,8 @@ settings! {
         pair_choice: PairChoice = PairChoice::Auto,
         /// Which photos share one lens.
         camera_sharing: CameraSharing = CameraSharing::Auto,
+        /// Which program computes poses and points of the pairs.
+        mapper: PoseMapper = PoseMapper::Auto,
         /// Long side in pixels to which photos are scaled down for finding features; less where memory is short.
         pose_photo_size: u32 = 3200 => 320..=16_384,
         /// Most photos that are taken out of a video: the sharpest, spread evenly over the motion.

@@ -7,7 +7,7 @@ use crate::output::{print_json, print_line};
 use clap::{Arg, ArgMatches, Command};
 use segwild_gpu::{Adapter, AdapterChoice, GpuEngine};
 use segwild_pipeline::{RunSettings, Settings, SplatTransform, choose_engine};
-use segwild_poses::{Colmap, Ffmpeg};
+use segwild_poses::{Colmap, Ffmpeg, Glomap};
 use segwild_selftest::check;
 use segwild_vision::{FileUse, ModelFile, Providers, Runtime, VisionSettings, models_in};
 use std::path::PathBuf;
@@ -80,11 +80,19 @@ pub fn doctor(matches: &ArgMatches, program: Command) -> Result<(), Failure> {
             Err(error) => format!("not usable: {error}. The built-in provider needs none."),
         },
     ));
+    let colmap = Colmap::find();
     found.push((
         "poses",
-        Colmap::find().map_or_else(
+        colmap.as_ref().map_or_else(
             || "no COLMAP on the PATH: photos need poses of their own (Debian, Ubuntu: apt-get install colmap)".into(),
             |colmap| format!("{} ({})", colmap.version, if colmap.has_cuda { "with CUDA" } else { "CPU only" }),
+        ),
+    ));
+    found.push((
+        "poses at once",
+        Glomap::find(colmap.as_ref()).map_or_else(
+            || "no GLOMAP: COLMAP has no global_mapper, no glomap on the PATH; `--mapper` is colmap".into(),
+            |glomap| format!("{} (`--mapper`)", glomap.version),
         ),
     ));
     found.push((

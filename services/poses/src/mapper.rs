@@ -1,0 +1,160 @@
+//! The step `model`: the program that computes poses and points of the pairs, and its command.
+
+use crate::colmap::{Colmap, ColmapCommand};
+use crate::{PoseMapper, PosesError};
+use segwild_flow::{find_program, program_output};
+use std::path::{Path, PathBuf};
+
+/// Photos up to which `auto` takes COLMAP's mapper. It adds photo by photo and adjusts all of them again and again;
+/// GLOMAP (Pan et al. 2024) solves for all at once, which pays for many. Not measured here.
+pub(crate) const FEW: usize = 300;
+
+/// A global mapper that was found.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Glomap {
+    program: PathBuf,
+    command: &'static str,
+    /// As it names itself: `GLOMAP`, or `COLMAP 4.0.1 (global_mapper)`.
+    pub version: String,
+}
+
+impl Glomap {
+    /// That within a COLMAP, whose database it certainly reads, else the program `glomap` on the `PATH`; `None` where
+    /// there is neither.
+    pub fn find(colmap: Option<&Colmap>) -> Option<Glomap> {
+        let within = colmap.filter(|colmap| colmap.has_global_mapper).map(|colmap| Glomap {
+            program: colmap.program().to_owned(),
+            command: "global_mapper",
+            version: format!("{} (global_mapper)", colmap.version),
+        });
+        within.or_else(Glomap::alone)
+    }
+
+    fn alone() -> Option<Glomap> {
+        let program = find_program("glomap")?;
+        let help = program_output(&program, &["mapper", "-h"]).ok()?;
+        let answers = help.contains("--database_path") && help.contains("--output_path");
+        answers.then(|| Glomap { program, command: "mapper", version: "GLOMAP".to_owned() })
+    }
+
+    /// Its file.
+    pub fn program(&self) -> &Path {
+        &self.program
+    }
+
+    /// Its command, without options.
+    ///
+    /// # Errors
+    /// It cannot be started.
+    pub(crate) fn command(&self) -> Result<ColmapCommand, PosesError> {
+        ColmapCommand::of(&self.program, self.command)
+    }
+}
+
+/// Whether a global mapper that is there computes the poses of so many photos.
+pub(crate) fn is_global(choice: PoseMapper, photos: usize) -> bool {
+    match choice {
+        PoseMapper::Auto => photos > FEW,
+        PoseMapper::Colmap => false,
+        PoseMapper::Glomap => true,
+    }
+}
+
+/// What a mapper reads and writes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct MapperFiles<'a> {
+    pub database: &'a Path,
+    /// The folder of the photos.
+    pub photos: &'a Path,
+    /// Their names, a line each.
+    pub list: &'a Path,
+    /// The folder of the models.
+    pub models: &'a Path,
+}
+
+impl MapperFiles<'_> {
+    fn of(&self, command: ColmapCommand) -> ColmapCommand {
+        command
+            .path("database_path", self.database)
+            .path("image_path", self.photos)
+            .path("output_path", self.models)
+    }
+
+    /// COLMAP's mapper with models of so many photos at the least.
+    pub fn one_by_one(&self, command: ColmapCommand, threads: usize, least_photos: usize) -> Vec<String> {
+        self.of(command)
+            .path("image_list_path", self.list)
+            .option(&["Mapper.num_threads"], threads)
+            .option(&["Mapper.min_model_size"], least_photos)
+            .arguments()
+    }
+
+    /// A global mapper. Those that know no list and no threads take all photos of the database and all threads.
+    pub fn at_once(&self, command: ColmapCommand, threads: usize) -> Vec<String> {
+        let mut command = self.of(command);
+        if command.knows(LIST) {
+            command = command.path(LIST, self.list);
+        }
+        if command.knows(GLOBAL_THREADS) {
+            command = command.option(&[GLOBAL_THREADS], threads);
+        }
+        command.arguments()
+    }
+}
+
+/// Options that not every global mapper has.
+pub(crate) const LIST: &str = "image_list_path";
+const GLOBAL_THREADS: &str = "GlobalMapper.num_threads";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_choice_follows_the_setting_and_the_number_of_photos() {
+        for (choice, few, many) in
+            [(PoseMapper::Auto, false, true), (PoseMapper::Colmap, false, false), (PoseMapper::Glomap, true, true)]
+        {
+            assert_eq!((is_global(choice, 12), is_global(choice, 2000)), (few, many), "{choice}");
+        }
+    }
+
+    #[test]
+    fn commands_have_the_options_that_each_mapper_knows() {
+        let files = MapperFiles {
+            database: Path::new("/p/colmap.db"),
+            photos: Path::new("/photos"),
+            list: Path::new("/p/photos.txt"),
+            models: Path::new("/p/models"),
+        };
+        let common = "--database_path arg\n  --image_path arg\n  --output_path arg";
+        let paths = ["--database_path", "/p/colmap.db", "--image_path", "/photos", "--output_path", "/p/models"];
+        let list = ["--image_list_path", "/p/photos.txt"];
+        // `glomap mapper` of GLOMAP 1.
+        let alone = files.at_once(ColmapCommand::with_help("mapper", common), 4);
+        assert_eq!(alone, [&["mapper"][..], &paths[..]].concat());
+        // `colmap global_mapper` with a list and threads.
+        let help = format!("{common}\n --image_list_path arg\n --GlobalMapper.num_threads arg (=-1)");
+        let within = files.at_once(ColmapCommand::with_help("global_mapper", help), 4);
+        let threads = ["--GlobalMapper.num_threads", "4"];
+        assert_eq!(within, [&["global_mapper"][..], &paths[..], &list[..], &threads[..]].concat());
+        // COLMAP 3.8.
+        let help =
+            format!("{common}\n --image_list_path arg\n --Mapper.num_threads arg\n --Mapper.min_model_size arg (=10)");
+        let one_by_one = files.one_by_one(ColmapCommand::with_help("mapper", help), 4, 3);
+        let rest = ["--Mapper.num_threads", "4", "--Mapper.min_model_size", "3"];
+        assert_eq!(one_by_one, [&["mapper"][..], &paths[..], &list[..], &rest[..]].concat());
+    }
+
+    #[test]
+    fn a_colmap_without_a_global_mapper_gives_none() {
+        // Whether the program `glomap` is on this machine does not matter here.
+        let within = |colmap: Option<Colmap>| {
+            Glomap::find(colmap.as_ref()).filter(|found| found.command == "global_mapper").map(|found| found.version)
+        };
+        assert_eq!(within(None), None);
+        assert_eq!(within(Colmap::of_help("colmap".into(), "COLMAP 3.8 -- x\n  mapper\n")), None);
+        let new = Colmap::of_help("colmap".into(), "COLMAP 4.0.1 -- x\n  global_mapper\n");
+        assert_eq!(within(new).as_deref(), Some("COLMAP 4.0.1 (global_mapper)"));
+    }
+}
