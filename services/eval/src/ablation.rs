@@ -94,3 +94,17 @@ impl Variant {
         Ok(settings)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use segwild_pipeline::Preset;
+
+    #[test]
+    fn the_preset_of_the_paper_has_the_query_of_its_rows() {
+        let preset = Settings::preset(Preset::Paper);
+        for (name, value) in PAPER {
+            assert_eq!(preset.get(name).as_deref(), Some(*value), "{name}");
+        }
+    }
+}

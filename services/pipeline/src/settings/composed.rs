@@ -2,12 +2,12 @@
 
 use super::former::renamed;
 use super::whole_run::{RunBudget, RunSettings, Scoring};
-use segwild_features::FeatureSettings;
+use segwild_features::{Compression, FeatureSettings};
 use segwild_masks::MaskSettings;
 use segwild_poses::PoseSettings;
 use segwild_scene::settings::{Field, Group, SettingError};
 use segwild_scene::{Scene, SceneSettings};
-use segwild_segmenter::SegmentSettings;
+use segwild_segmenter::{CutBy, EvidenceMode, FirstAnswer, SegmentSettings, SimilarityUse, SpikeMode};
 use segwild_trainer::{AppearanceModel, Preset, Protocol, TrainSettings};
 use segwild_vision::VisionSettings;
 use serde::{Deserialize, Serialize};
@@ -116,10 +116,29 @@ impl Settings {
     pub fn preset(preset: Preset) -> Settings {
         let mut settings = Settings { train: preset.settings(), ..Settings::default() };
         settings.run.preset = preset;
-        if preset == Preset::Draft {
-            settings.masks.prompt_budget = 128;
+        match preset {
+            Preset::Draft => settings.masks.prompt_budget = 128,
+            Preset::Standard | Preset::Best => {}
+            Preset::Paper => settings.select_as_published(),
         }
         settings
+    }
+
+    /// Masks, features and query of the paper (docs/method.md, sections 4 to 7), as far as they are settings.
+    fn select_as_published(&mut self) {
+        self.masks.prompt_budget = 1024;
+        self.masks.min_masks = 0;
+        self.features.compression = Compression::Learned;
+        self.features.pca_samples = 200_000;
+        // By resemblance alone, which takes more steps than the tree does (`PAPER` of segwild-eval).
+        self.features.refine_steps = 300;
+        self.segment.first_answer = FirstAnswer::Photo;
+        self.segment.click_temperature = 1.0;
+        self.segment.similarity_use = SimilarityUse::Gate;
+        self.segment.evidence_mode = EvidenceMode::Centre;
+        self.segment.propagate = 0;
+        self.segment.spikes = SpikeMode::Isotropic;
+        self.segment.cut_by = CutBy::Prompts;
     }
 
     /// The protocol by which held-out photos are scored. `aligned`: training photos were aligned to the splats, so that the

@@ -204,7 +204,7 @@ mod tests {
     fn what_is_written_reads_back_the_same() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("segwild.toml");
-        for preset in [Preset::Draft, Preset::Standard, Preset::Best] {
+        for preset in [Preset::Draft, Preset::Standard, Preset::Best, Preset::Paper] {
             let settings = Settings::preset(preset);
             std::fs::write(&file, settings.to_toml()).unwrap();
             assert_eq!(Settings::layered(Some(&file), &[]).unwrap(), settings);

@@ -89,8 +89,12 @@ mod tests {
     fn the_reference_names_what_each_preset_sets() {
         let page = Settings::to_markdown(false);
         let (_, section) = page.split_once("## Presets").unwrap();
-        assert!(section.contains("| flag | draft | standard | best |"), "{section}");
-        for row in ["| `--effort` | 0.5 | 1 | 1.5 |", "| `--sh-degree` | 1 | 2 | 3 |"] {
+        assert!(section.contains("| flag | draft | standard | best | paper |"), "{section}");
+        for row in [
+            "| `--effort` | 0.5 | 1 | 1.5 | 1 |",
+            "| `--sh-degree` | 1 | 2 | 3 | 3 |",
+            "| `--spikes` | axis | axis | axis | isotropic |",
+        ] {
             assert!(section.contains(row), "{section}");
         }
         assert!(!section.contains("`--seed`"), "{section}");
