@@ -41,6 +41,33 @@ pub fn png(bytes: &mut [u8]) {
     }
 }
 
+/// Puts the CRC of every stored file of a zip archive right, as far as its list can be followed.
+pub fn zip(bytes: &mut [u8]) {
+    let Some(end) = bytes.windows(4).rposition(|word| word == b"PK\x05\x06") else { return };
+    let Some(mut at) = little(bytes, end + 16, 4) else { return };
+    while bytes.get(at..at + 4) == Some(&b"PK\x01\x02"[..]) {
+        let field = |offset: usize, size: usize| little(bytes, at + offset, size).unwrap_or(0);
+        let next = at + 46 + field(28, 2) + field(30, 2) + field(32, 2);
+        let (own, packed) = (field(42, 4), field(20, 4));
+        let start = little(bytes, own + 26, 2).zip(little(bytes, own + 28, 2));
+        let data = start.and_then(|(name, extra)| {
+            let start = own + 30 + name + extra;
+            bytes.get(start..start + packed)
+        });
+        let crc = data.map(|data| crc32(data).to_le_bytes());
+        if let (Some(crc), Some(to)) = (crc, bytes.get_mut(at + 16..at + 20)) {
+            to.copy_from_slice(&crc);
+        }
+        at = next;
+    }
+}
+
+/// The number of so many bytes at a position, the lowest first.
+fn little(bytes: &[u8], at: usize, size: usize) -> Option<usize> {
+    let bytes = bytes.get(at..at + size)?;
+    Some(bytes.iter().rev().fold(0, |value, byte| value << 8 | usize::from(*byte)))
+}
+
 fn crc32(bytes: &[u8]) -> u32 {
     let bit = |crc: u32| if crc & 1 == 1 { (crc >> 1) ^ 0xedb8_8320 } else { crc >> 1 };
     let byte = |crc: u32, b: &u8| (0..8).fold(crc ^ u32::from(*b), |crc, _| bit(crc));

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 pub fn command() -> Command {
     let splats =
         Arg::new("file").value_name("SPLATS").required(true).value_parser(value_parser!(PathBuf)).help(
-            "File of splats: .ply, .compressed.ply, .splat, .spz, .glb; or a folder of 3D Gaussian Splatting",
+            "File of splats: .ply, .compressed.ply, .splat, .spz, .glb, .sog; or a folder of 3D Gaussian Splatting",
         );
     with_settings_in_long_help(
         Command::new("import")

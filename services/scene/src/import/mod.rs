@@ -1,15 +1,17 @@
 //! Files of splats that another program trained: what wrote them, and the splats as this program holds them.
 //!
 //! Read are 3D Gaussian splatting's `.ply` in the forms that programs write (docs/reference/imports.md),
-//! `.compressed.ply`, `.splat`, `.spz` and `.glb`. What a file is follows from its content; only `.splat`, which has no
-//! head, is known by its name.
+//! `.compressed.ply`, `.splat`, `.spz`, `.glb` and `.sog`. What a file is follows from its content; only `.splat`,
+//! which has no head, is known by its name.
 
 mod compressed;
 mod filter;
 mod glb;
 mod program;
 mod quantised;
+mod sog;
 mod spz;
+mod zip;
 
 pub use program::{SplatWriter, UpAxis};
 
@@ -39,6 +41,8 @@ pub enum SplatLayout {
     Spz,
     /// Binary glTF with `KHR_gaussian_splatting`.
     Glb,
+    /// PlayCanvas' `.sog`.
+    Sog,
 }
 
 impl SplatLayout {
@@ -50,6 +54,7 @@ impl SplatLayout {
             SplatLayout::Splat => ".splat",
             SplatLayout::Spz => ".spz",
             SplatLayout::Glb => ".glb",
+            SplatLayout::Sog => ".sog",
         }
     }
 }
@@ -82,8 +87,8 @@ pub struct ImportedSplats {
 const DATAPARSER_TRANSFORMS: &str = "dataparser_transforms.json";
 
 impl ImportedSplats {
-    /// The files that may say how the splats' world lies: the one that the setting names, or those of nerfstudio near the
-    /// splats.
+    /// The files that may say how the splats' world lies: the one that the setting names, or those of nerfstudio near
+    /// the splats.
     pub fn transform_files(&self) -> Vec<PathBuf> {
         match &*self.frame {
             "auto" => {}
@@ -141,9 +146,18 @@ impl SplatFile {
             SplatFile { path, layout: SplatLayout::Spz, splats, sh_degree, writer }
         } else if glb::is_glb(&start) {
             let head = glb::head(&path, &start)?;
-            let writer = SplatWriter::of_glb(head.generator.as_deref(), head.antialias);
+            // glTF has y up; read in the axes of `.ply`, y points down.
+            let named = SplatWriter::named(head.generator.as_deref(), head.antialias);
+            let writer = SplatWriter { up: Some(UpAxis::MinusY), ..named };
             let (splats, sh_degree) = (head.splats, head.sh_degree);
             SplatFile { path, layout: SplatLayout::Glb, splats, sh_degree, writer }
+        } else if zip::is_archive(&start) {
+            // Its list stands at the end.
+            let bytes = crate::bytes::read_bytes(&path).map_err(SceneError::io(&path))?;
+            let head = sog::head(&path, &bytes)?;
+            let writer = SplatWriter::named(head.generator.as_deref(), head.antialias);
+            let (splats, sh_degree) = (head.splats, head.sh_degree);
+            SplatFile { path, layout: SplatLayout::Sog, splats, sh_degree, writer }
         } else if start.starts_with(b"ply") {
             of_ply(path, &start)?
         } else if ending == "splat" {
@@ -177,6 +191,7 @@ impl SplatFile {
             SplatLayout::Splat => ply::splat_of_bytes(path, &bytes)?,
             SplatLayout::Spz => spz::read(path, &bytes)?,
             SplatLayout::Glb => glb::read(path, &bytes, MOST_SPLATS)?,
+            SplatLayout::Sog => sog::read(path, &bytes, MOST_SPLATS)?,
             SplatLayout::CompressedPly => compressed::read(path, &bytes, &Header::parse(path, &bytes)?)?,
             SplatLayout::Ply => {
                 let mut splats = ply::of_bytes(path, &bytes)?;
@@ -257,12 +272,12 @@ fn last_iteration(folder: &Path) -> Result<PathBuf, SceneError> {
 
 fn unknown(path: &Path, ending: &str) -> SceneError {
     let reason = match ending {
-        "sog" | "json" | "ksplat" | "lcc" => format!(
+        "json" | "ksplat" | "lcc" => format!(
             "`.{ending}` is not read: `splat-transform {} splats.ply` writes it as .ply (npm install -g @playcanvas/splat-transform)",
             path.display()
         ),
         "gltf" => "glTF in several files is not read: pack it into one .glb".to_owned(),
-        _ => "it is no file of splats: .ply, .compressed.ply, .splat, .spz and .glb are read".to_owned(),
+        _ => "it is no file of splats: .ply, .compressed.ply, .splat, .spz, .glb and .sog are read".to_owned(),
     };
     SceneError::invalid(path, "the start of the file", reason)
 }

@@ -70,10 +70,9 @@ impl SplatWriter {
         writer
     }
 
-    /// Of what the description of a `.glb` says.
-    pub(super) fn of_glb(generator: Option<&str>, antialias: Option<bool>) -> SplatWriter {
-        // glTF has y up; read in the axes of `.ply`, y points down.
-        SplatWriter { program: generator.map(plain), up: Some(UpAxis::MinusY), antialias }
+    /// Of what the description of a `.glb` or a `.sog` says.
+    pub(super) fn named(generator: Option<&str>, antialias: Option<bool>) -> SplatWriter {
+        SplatWriter { program: generator.map(plain), up: None, antialias }
     }
 
     fn name(&mut self, program: &str) {

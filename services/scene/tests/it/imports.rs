@@ -46,6 +46,8 @@ fn what_another_program_packed_is_what_it_was() {
         ("six-v3.spz", SplatLayout::Spz, [2e-4, 0.04, 0.003, 0.08, 0.07]),
         ("six-v4.spz", SplatLayout::Spz, [2e-4, 0.04, 0.003, 0.08, 0.07]),
         ("six.glb", SplatLayout::Glb, [1e-6, 1e-6, 1e-6, 1e-5, 1e-6]),
+        // Colour coefficients are those of the nearest of four groups.
+        ("six.sog", SplatLayout::Sog, [2e-4, 1e-6, 0.003, 0.02, 0.3]),
     ];
     for (name, layout, most) in cases {
         let path = file(name);
@@ -60,16 +62,22 @@ fn what_another_program_packed_is_what_it_was() {
         let off = differences(&whole, &packed.select(&order));
         assert!(off.iter().zip(most).all(|(off, most)| *off <= most), "{name}: {off:?} of {most:?}");
     }
-    for name in ["six.compressed.ply", "six.glb"] {
-        let by = SplatFile::open(&file(name)).unwrap().writer.program;
-        assert_eq!(by.as_deref(), Some("splat-transform 2.7.1"));
+    // As the program that wrote it reads it again, in the same order.
+    let off = differences(&read(&file("six-sog.ply")), &read(&file("six.sog")));
+    assert!(off.iter().zip([1e-5, 1e-6, 0.002, 1e-4, 1e-6]).all(|(off, most)| *off <= most), "{off:?}");
+    for (name, program) in [
+        ("six.compressed.ply", "splat-transform 2.7.1"),
+        ("six.glb", "splat-transform 2.7.1"),
+        ("six.sog", "splat-transform v2.7.1"),
+    ] {
+        assert_eq!(SplatFile::open(&file(name)).unwrap().writer.program.as_deref(), Some(program));
     }
 }
 
 #[test]
 fn packed_files_that_are_cut_or_changed_are_refused_in_words() {
     let dir = tempfile::tempdir().unwrap();
-    for name in ["six.compressed.ply", "six-v3.spz", "six-v4.spz", "six.glb"] {
+    for name in ["six.compressed.ply", "six-v3.spz", "six-v4.spz", "six.glb", "six.sog"] {
         let whole = std::fs::read(file(name)).unwrap();
         let path = dir.path().join(name);
         let refused = |bytes: &[u8]| {
@@ -93,7 +101,7 @@ fn packed_files_that_are_cut_or_changed_are_refused_in_words() {
         }
     }
     for (bytes, words) in [
-        (&b"PK\x03\x04 and more"[..], "splat-transform"),
+        (&b"PK\x03\x04 and more"[..], "cut short"),
         (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "a cloud of points"),
         (b"\x1f\x8b and no gzip", "cannot be unpacked"),
     ] {
@@ -102,6 +110,83 @@ fn packed_files_that_are_cut_or_changed_are_refused_in_words() {
         let message = SplatFile::open(&path).unwrap_err().to_string();
         assert!(message.contains(words) && message.contains("strange.sog"), "{message}");
     }
+}
+
+/// A zip archive of stored files.
+fn zip(files: &[(&str, &[u8])]) -> Vec<u8> {
+    let (mut archive, mut list) = (Vec::new(), Vec::new());
+    for (name, data) in files {
+        let mut crc = flate2::Crc::new();
+        crc.update(data);
+        let at = archive.len() as u32;
+        // Version, flags, method and time.
+        let start = [20_u8, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+        let sizes = [crc.sum(), data.len() as u32, data.len() as u32].map(u32::to_le_bytes).concat();
+        let lengths = [name.len() as u16, 0].map(u16::to_le_bytes).concat();
+        archive.extend([&b"PK\x03\x04"[..], &start, &sizes, &lengths, name.as_bytes(), data].concat());
+        let rest = [&[0; 10][..], &at.to_le_bytes(), name.as_bytes()].concat();
+        list.extend([&b"PK\x01\x02\x14\0"[..], &start, &sizes, &lengths, &rest].concat());
+    }
+    let count = (files.len() as u16).to_le_bytes();
+    let sizes = [list.len() as u32, archive.len() as u32].map(u32::to_le_bytes).concat();
+    let end = [&b"PK\x05\x06\0\0\0\0"[..], &count, &count, &sizes, &[0, 0]].concat();
+    [archive, list, end].concat()
+}
+
+#[test]
+fn an_archive_that_is_no_sog_is_refused_in_words() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("odd.sog");
+    let table: Vec<f32> = (0..256).map(|i| i as f32 / 256.0).collect();
+    let whole = json!({
+        "version": 2, "count": 2,
+        "means": { "mins": [0, 0, 0], "maxs": [1, 1, 1], "files": ["low", "high"] },
+        "scales": { "codebook": table, "files": ["scales"] },
+        "quats": { "files": ["quats"] },
+        "sh0": { "codebook": table, "files": ["sh0"] }
+    });
+    let with = |name: &str, value: Value| {
+        let mut meta = whole.clone();
+        meta[name] = value;
+        meta
+    };
+    let image = |width: u32, height: u32| {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        let pixels = image::RgbaImage::from_pixel(width, height, image::Rgba([9, 8, 7, 255]));
+        pixels.write_to(&mut bytes, image::ImageFormat::WebP).unwrap();
+        bytes.into_inner()
+    };
+    let result = |meta: &Value, image: &[u8]| {
+        let meta = meta.to_string().into_bytes();
+        let images = ["low", "high", "scales", "quats", "sh0"].map(|name| (name, image));
+        let files = [&[("meta.json", &meta[..])][..], &images].concat();
+        std::fs::write(&path, zip(&files)).unwrap();
+        SplatFile::open(&path).and_then(|file| file.read()).map_err(|e| e.to_string())
+    };
+    let fits = image(2, 1);
+    // Whole as it is: the same pixel for all that it stores.
+    let read = result(&whole, &fits).unwrap().splats;
+    let scales = [9.0, 8.0, 7.0].map(|v: f32| v / 256.0);
+    assert_eq!((read.len(), read.sh_degree, read.log_scales[1]), (2, 0, scales));
+    let mean = (f32::from(9 + 256 * 9_u16) / 65_535.0).exp_m1();
+    assert!((read.means[0][0] - mean).abs() < 1e-6, "{:?}", read.means);
+    for (meta, image, words) in [
+        (with("version", json!(null)), &fits, "of version 1"),
+        (with("version", json!(3)), &fits, "of version 3"),
+        (with("means", json!(null)), &fits, "`means` is missing"),
+        (with("count", json!(3)), &fits, "2 x 1 pixels"),
+        (with("count", json!(20_000_000)), &fits, "thin them out"),
+        (with("scales", json!({ "codebook": [1.0], "files": ["scales"] })), &fits, "1 numbers"),
+        (with("quats", json!({ "files": ["\u{7}gone"] })), &fits, "`gone` in the archive"),
+        (with("shN", json!({ "bands": 4, "files": ["a", "b"] })), &fits, "degree 4"),
+        (whole.clone(), &image(1048, 1024), "1048 x 1024 pixels"),
+        (whole.clone(), &b"no image".to_vec(), "cannot be decoded"),
+    ] {
+        let message = result(&meta, image).unwrap_err();
+        assert!(message.contains(words) && message.contains("odd.sog"), "{words}: {message}");
+    }
+    std::fs::write(&path, zip(&[("other.txt", b"text")])).unwrap();
+    assert!(SplatFile::open(&path).unwrap_err().to_string().contains("`meta.json` in the archive: it is missing"));
 }
 
 #[test]
@@ -144,7 +229,7 @@ fn glb(description: &Value, data: &[u8]) -> Vec<u8> {
     [&header[..], &json[..], &word(data.len())[..], &b"BIN\0"[..], data].concat()
 }
 
-/// Two splats whose numbers stand between each other in 40 bytes each, their opacities and rotations as whole numbers,
+/// Two splats whose numbers take turns in 40 bytes each, their opacities and rotations as whole numbers,
 /// at a node that turns, scales and moves them below another.
 fn mixed() -> (Value, Vec<u8>) {
     let mut data = Vec::new();

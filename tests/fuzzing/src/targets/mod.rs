@@ -25,6 +25,7 @@ pub const TARGETS: &[FuzzTarget] = &[
     scenes::PLY_POINTS,
     scenes::IMPORTED_SPLATS,
     scenes::GLB_SPLATS,
+    scenes::SOG_SPLATS,
     scenes::SPLAT,
     photos::PNG,
     photos::JPEG,

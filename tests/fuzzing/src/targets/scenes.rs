@@ -249,6 +249,26 @@ pub(super) const GLB_SPLATS: FuzzTarget = FuzzTarget {
     read: |bytes| import("glb_splats", bytes),
 };
 
+pub(super) const SOG_SPLATS: FuzzTarget = FuzzTarget {
+    name: "sog_splats",
+    seeds: || vec![include_bytes!("../../../../services/scene/tests/files/six.sog").to_vec()],
+    words: &[
+        "PK\u{1}\u{2}",
+        "PK\u{5}\u{6}",
+        "\"count\":4294967295",
+        "\"bands\":3",
+        "\"version\":1",
+        "\"model\":\"2dgs\",",
+        "\"codebook\":[],",
+        "meta.json",
+        "sh0.webp",
+        "VP8X",
+        "1e999",
+    ],
+    seal: seal::zip,
+    read: |bytes| import("sog_splats", bytes),
+};
+
 /// Reads splats of another program; what the file is follows from its content.
 fn import(target: &str, bytes: &[u8]) {
     let path = folder(target).join("input.ply");
