@@ -6,6 +6,7 @@ use crate::folder::{PoseInputs, stamps};
 use crate::mapper::{self, MapperFiles};
 use crate::models::{PhotoFacts, PoseModel, read_models};
 use crate::record::{PosesDone, PosesRecord};
+use crate::snapshots::{self, MapperSnapshot};
 use crate::{
     Colmap, Ffmpeg, Glomap, PairChoice, PoseLimits, PoseMapper, PosePlan, PoseSettings, PoseSource, PoseSpan,
     PoseStep, PosesError, PosesFolder, pairs,
@@ -40,7 +41,8 @@ struct Estimation<'a> {
 }
 
 impl PosesFolder {
-    /// Computes the poses of a source, or what is left of them. Progress and messages go to `events` as the stage `poses`.
+    /// Computes the poses of a source, or what is left of them. Progress and messages go to `events` as the stage
+    /// `poses`.
     ///
     /// # Errors
     /// When a program is missing or fails, no poses are found, the disk fails, or the run is stopped.
@@ -147,7 +149,7 @@ impl Estimation<'_> {
     /// Removes features and pairs that are not of these inputs, and writes down what the others are of.
     fn keep_what_fits(&self, inputs: &PoseInputs, record: &mut PosesRecord) -> Result<(), PosesError> {
         if !inputs.fit(record) {
-            for name in ["colmap.db", "colmap.db-wal", "colmap.db-shm"] {
+            for name in ["colmap.db", "colmap.db-wal", "colmap.db-shm", "snapshots"] {
                 remove(&self.folder.path().join(name))?;
             }
             record.photos.clear();
@@ -370,6 +372,7 @@ impl Estimation<'_> {
             let reason = facts.nothing(count);
             return Err(PosesError::NoModel { path: photos.folder.clone(), photos: count, reason });
         }
+        remove(&self.folder.snapshots())?;
         let unposed = facts.unposed(names.into_iter(), &models);
         let models = models.into_iter().map(|model| model.size).collect();
         Ok(PosesDone { key: plan.key.to_string(), colmap: by, models, unposed })
@@ -424,26 +427,72 @@ impl Estimation<'_> {
 
     /// The models of COLMAP's mapper, the largest first; none where it made none.
     fn mapped_one_by_one(&mut self, photos: &UnposedPhotos) -> Result<Vec<PoseModel>, PosesError> {
-        let count = photos.photos.len();
-        let (database, list, models) = (self.folder.database(), self.list(), self.empty_models()?);
-        let files =
-            MapperFiles { database: &database, photos: &photos.folder, list: &list, models: &models };
-        let arguments = files.one_by_one(self.colmap.command("mapper")?, self.limits.threads, LEAST_PHOTOS);
-        self.say(format!("{} finds the poses of {count} photos", self.colmap.version));
-        self.progress.next_part(Some(count as u64));
-        let program = self.colmap.program().to_owned();
-        let mapped = self.child(&program, &arguments, |line, progress| {
-            if line.contains("Registering image #") {
-                let posed = numbers_in(line, '(', ')').first().copied().unwrap_or(0);
-                progress.advance(posed.saturating_sub(progress.done()));
-            }
-        });
+        if let Some(models) = self.continued(photos)? {
+            return Ok(models);
+        }
+        remove(&self.folder.snapshots())?;
+        let models = self.empty_models()?;
+        self.say(format!("{} finds the poses of {} photos", self.colmap.version, photos.photos.len()));
+        let mapped = self.mapper(photos, &models, None);
         let models = read_models(&models)?;
         match mapped {
             // COLMAP reports a failure where it made no model.
             Err(PosesError::Program(ProgramError::Failed { .. })) if models.is_empty() => Ok(models),
             mapped => mapped.map(|()| models),
         }
+    }
+
+    /// The model that grows out of a snapshot of a mapping that was stopped; `None` where there is none of more than
+    /// half of the photos. The mapper goes on with one model and leaves out the others, one of which may be larger
+    /// then.
+    fn continued(&mut self, photos: &UnposedPhotos) -> Result<Option<Vec<PoseModel>>, PosesError> {
+        let count = photos.photos.len();
+        let names: BTreeSet<&str> = photos.photos.iter().map(|photo| photo.name.as_str()).collect();
+        let Some(snapshot) = snapshots::largest(&self.folder.snapshots(), &names) else { return Ok(None) };
+        // It writes such a model into the folder itself, not into one of that folder.
+        let models = self.empty_models()?;
+        let folder = models.join("0");
+        std::fs::create_dir_all(&folder).map_err(|e| FileError::new("create the folder", &folder, e))?;
+        let MapperSnapshot { path, photos: posed } = snapshot;
+        self.say(format!("{} goes on from the poses of {posed} of {count} photos", self.colmap.version));
+        match self.mapper(photos, &folder, Some(&path)) {
+            Err(PosesError::Program(error)) => {
+                let words = format!("the snapshot is left aside: {error}");
+                self.events.warn(Some(STAGE), words);
+                return Ok(None);
+            }
+            done => done?,
+        }
+        // Where it wrote none, the mapping starts again.
+        let models = read_models(&models).unwrap_or_default();
+        let is_largest = models.first().is_some_and(|model| 2 * model.size.photos > count);
+        Ok(is_largest.then_some(models))
+    }
+
+    /// Runs COLMAP's mapper, from a snapshot or from the start. Snapshots are left on the way.
+    fn mapper(
+        &mut self,
+        photos: &UnposedPhotos,
+        models: &Path,
+        from: Option<&Path>,
+    ) -> Result<(), PosesError> {
+        let snapshots = self.folder.snapshots();
+        std::fs::create_dir_all(&snapshots)
+            .map_err(|e| FileError::new("create the folder", &snapshots, e))?;
+        let (database, list) = (self.folder.database(), self.list());
+        let files = MapperFiles { database: &database, photos: &photos.folder, list: &list, models };
+        let command = self.colmap.command("mapper")?;
+        let arguments = files.one_by_one(command, self.limits.threads, LEAST_PHOTOS, &snapshots, from);
+        self.progress.next_part(Some(photos.photos.len() as u64));
+        let program = self.colmap.program().to_owned();
+        self.child(&program, &arguments, |line, progress| {
+            if line.contains("Registering image #") {
+                let posed = numbers_in(line, '(', ')').first().copied().unwrap_or(0);
+                progress.advance(posed.saturating_sub(progress.done()));
+            } else if line.contains("Creating snapshot") {
+                snapshots::thin(&snapshots);
+            }
+        })
     }
 
     /// The folder of the models, emptied.

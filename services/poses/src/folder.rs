@@ -71,6 +71,11 @@ impl PosesFolder {
         self.path.join("models")
     }
 
+    /// What COLMAP's mapper leaves on its way.
+    pub(crate) fn snapshots(&self) -> PathBuf {
+        self.path.join("snapshots")
+    }
+
     pub(crate) fn frames(&self) -> PathBuf {
         self.path.join("frames")
     }

@@ -7,6 +7,7 @@
 //! poses.json    what the rest was made from, and of each photo without a pose the reason
 //! colmap.db     features and pairs; a run that was stopped goes on with those that are missing
 //! models/0/     the models that COLMAP made of them; poses.json says which is used
+//! snapshots/    what its mapper had when it was stopped
 //! frames/       the frames of a video
 //! colmap.log    what the programs wrote
 //! ```
@@ -47,6 +48,7 @@ mod models;
 mod pairs;
 mod record;
 mod settings;
+mod snapshots;
 mod source;
 mod step;
 mod video;

@@ -1,6 +1,7 @@
 //! The step `model`: the program that computes poses and points of the pairs, and its command.
 
 use crate::colmap::{Colmap, ColmapCommand};
+use crate::snapshots::EVERY;
 use crate::{PoseMapper, PosesError};
 use segwild_flow::{find_program, program_output};
 use std::path::{Path, PathBuf};
@@ -80,13 +81,27 @@ impl MapperFiles<'_> {
             .path("output_path", self.models)
     }
 
-    /// COLMAP's mapper with models of so many photos at the least.
-    pub fn one_by_one(&self, command: ColmapCommand, threads: usize, least_photos: usize) -> Vec<String> {
-        self.of(command)
+    /// COLMAP's mapper with models of so many photos at the least. It leaves snapshots in a folder, and starts `from`
+    /// one.
+    pub fn one_by_one(
+        &self,
+        command: ColmapCommand,
+        threads: usize,
+        least_photos: usize,
+        snapshots: &Path,
+        from: Option<&Path>,
+    ) -> Vec<String> {
+        let command = self
+            .of(command)
             .path("image_list_path", self.list)
             .option(&["Mapper.num_threads"], threads)
             .option(&["Mapper.min_model_size"], least_photos)
-            .arguments()
+            .path("Mapper.snapshot_path", snapshots)
+            .option(&["Mapper.snapshot_images_freq", "Mapper.snapshot_frames_freq"], EVERY);
+        match from {
+            Some(snapshot) => command.path("input_path", snapshot).arguments(),
+            None => command.arguments(),
+        }
     }
 
     /// A global mapper. Those that know no list and no threads take all photos of the database and all threads.
@@ -139,11 +154,19 @@ mod tests {
         let threads = ["--GlobalMapper.num_threads", "4"];
         assert_eq!(within, [&["global_mapper"][..], &paths[..], &list[..], &threads[..]].concat());
         // COLMAP 3.8.
-        let help =
-            format!("{common}\n --image_list_path arg\n --Mapper.num_threads arg\n --Mapper.min_model_size arg (=10)");
-        let one_by_one = files.one_by_one(ColmapCommand::with_help("mapper", help), 4, 3);
+        let help = format!(
+            "{common}\n --input_path arg\n --image_list_path arg\n --Mapper.num_threads arg\n \
+             --Mapper.min_model_size arg (=10)\n --Mapper.snapshot_path arg\n --Mapper.snapshot_images_freq arg (=0)"
+        );
+        let command = || ColmapCommand::with_help("mapper", help.as_str());
+        let snapshots = Path::new("/p/snapshots");
         let rest = ["--Mapper.num_threads", "4", "--Mapper.min_model_size", "3"];
-        assert_eq!(one_by_one, [&["mapper"][..], &paths[..], &list[..], &rest[..]].concat());
+        let leaves = ["--Mapper.snapshot_path", "/p/snapshots", "--Mapper.snapshot_images_freq", "50"];
+        let whole = [&["mapper"][..], &paths[..], &list[..], &rest[..], &leaves[..]].concat();
+        assert_eq!(files.one_by_one(command(), 4, 3, snapshots, None), whole);
+        let from = ["--input_path", "/p/snapshots/7"];
+        let again = files.one_by_one(command(), 4, 3, snapshots, Some(Path::new("/p/snapshots/7")));
+        assert_eq!(again, [&whole[..], &from[..]].concat());
     }
 
     #[test]

@@ -205,6 +205,20 @@ fn poses_that_were_interrupted_go_on_and_a_further_photo_is_added_to_them() {
     assert_eq!(calls(&run, "feature_extractor"), 1, "features are kept");
     are_the_true_ones(&posed(&scene, &run));
 
+    // The mapper goes on from a snapshot: the model of before, as it would have left it.
+    let (record, snapshots) = (run.join("poses/poses.json"), run.join("poses/snapshots"));
+    assert!(!snapshots.exists(), "nothing of it is left once it is done");
+    std::fs::create_dir(&snapshots).expect("a folder");
+    std::fs::rename(run.join("poses/models/0"), snapshots.join("0123456789")).expect("a rename");
+    let mut undone: serde_json::Value = json(&std::fs::read(&record).expect("a record"));
+    undone["done"] = serde_json::Value::Null;
+    std::fs::write(&record, undone.to_string()).expect("a record");
+    let continued = segwild(&command);
+    let messages = text(&continued.stderr);
+    assert!(continued.status.success() && messages.contains("goes on from the poses of 7 of 7"), "{messages}");
+    assert_eq!(calls(&run, "--input_path"), 1);
+    are_the_true_ones(&posed(&scene, &run));
+
     std::fs::rename(dir.path().join("kept.png"), &last).expect("a rename");
     let explained = works(&["run", &show(&scene), "--out", &show(&run), "--until", "poses", "--explain"]);
     assert!(explained.contains("07.png is new"), "{explained}");
@@ -246,6 +260,37 @@ fn a_machine_without_colmap_or_ffmpeg_says_how_to_get_them() {
         3,
         &["holds no scene", "no photos"],
     );
+}
+
+#[cfg(unix)]
+#[test]
+fn a_global_mapper_that_is_not_there_is_missed_before_anything_is_computed() {
+    let name = "a_global_mapper_that_is_not_there_is_missed_before_anything_is_computed";
+    if !has("colmap", name) {
+        return;
+    }
+    let path = std::env::var_os("PATH").expect("colmap is on it");
+    let colmap = std::env::split_paths(&path).map(|folder| folder.join("colmap")).find(|file| file.is_file());
+    let colmap = colmap.expect("it has started");
+    let help = Command::new(&colmap).arg("help").output().expect("it starts");
+    if text(&help.stdout).contains("global_mapper") {
+        eprintln!("skipped: {name}: COLMAP has a global mapper here");
+        return;
+    }
+    let dir = folder();
+    let (scene, alone) = (photos(dir.path(), 3), dir.path().join("alone"));
+    std::fs::create_dir(&alone).expect("a folder");
+    std::os::unix::fs::symlink(&colmap, alone.join("colmap")).expect("a link");
+    let run = dir.path().join("run");
+    let output = Command::new(env!("CARGO_BIN_EXE_segwild"))
+        .args(["run", &show(&scene), "--out", &show(&run), "--until", "poses", "--mapper", "glomap"])
+        .env("PATH", &alone)
+        .output()
+        .expect("the program starts");
+    let error = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(4), "another machine may have it: {error}");
+    assert!(error.contains("global_mapper") && error.contains("--mapper colmap"), "{error}");
+    assert!(!run.join("poses/colmap.db").exists(), "nothing was computed");
 }
 
 #[test]
