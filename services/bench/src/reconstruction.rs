@@ -362,7 +362,9 @@ mod tests {
             ..Results::default()
         };
         let unmeasured = markdown(&results, true);
-        assert!(unmeasured.contains("| trevi | 17 + 3 | 20.12 | - | - | 5.1 |") && !unmeasured.contains("LPIPS"));
+        assert!(
+            unmeasured.contains("| trevi | 17 + 3 | 20.12 | - | - | 5.1 |") && !unmeasured.contains("LPIPS")
+        );
         results.records[0].numbers.insert("lpips_alex".into(), 0.2134);
         let text = markdown(&results, true);
         for words in [

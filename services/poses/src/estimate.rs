@@ -416,8 +416,7 @@ impl Estimation<'_> {
         self.say(format!("{} finds the poses of {} photos at once", glomap.version, photos.photos.len()));
         self.progress.next_part(None);
         let (database, list, models) = (self.folder.database(), self.list(), self.empty_models()?);
-        let files =
-            MapperFiles { database: &database, photos: &photos.folder, list: &list, models: &models };
+        let files = MapperFiles { database: &database, photos: &photos.folder, list: &list, models: &models };
         let arguments = files.at_once(glomap.command()?, self.limits.threads);
         self.child(glomap.program(), &arguments, |_, _| {})?;
         let mut models = read_models(&models)?;

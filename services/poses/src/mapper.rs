@@ -127,9 +127,11 @@ mod tests {
 
     #[test]
     fn the_choice_follows_the_setting_and_the_number_of_photos() {
-        for (choice, few, many) in
-            [(PoseMapper::Auto, false, true), (PoseMapper::Colmap, false, false), (PoseMapper::Glomap, true, true)]
-        {
+        for (choice, few, many) in [
+            (PoseMapper::Auto, false, true),
+            (PoseMapper::Colmap, false, false),
+            (PoseMapper::Glomap, true, true),
+        ] {
             assert_eq!((is_global(choice, 12), is_global(choice, 2000)), (few, many), "{choice}");
         }
     }
@@ -143,7 +145,8 @@ mod tests {
             models: Path::new("/p/models"),
         };
         let common = "--database_path arg\n  --image_path arg\n  --output_path arg";
-        let paths = ["--database_path", "/p/colmap.db", "--image_path", "/photos", "--output_path", "/p/models"];
+        let paths =
+            ["--database_path", "/p/colmap.db", "--image_path", "/photos", "--output_path", "/p/models"];
         let list = ["--image_list_path", "/p/photos.txt"];
         // `glomap mapper` of GLOMAP 1.
         let alone = files.at_once(ColmapCommand::with_help("mapper", common), 4);
@@ -173,7 +176,9 @@ mod tests {
     fn a_colmap_without_a_global_mapper_gives_none() {
         // Whether the program `glomap` is on this machine does not matter here.
         let within = |colmap: Option<Colmap>| {
-            Glomap::find(colmap.as_ref()).filter(|found| found.command == "global_mapper").map(|found| found.version)
+            Glomap::find(colmap.as_ref())
+                .filter(|found| found.command == "global_mapper")
+                .map(|found| found.version)
         };
         assert_eq!(within(None), None);
         assert_eq!(within(Colmap::of_help("colmap".into(), "COLMAP 3.8 -- x\n  mapper\n")), None);

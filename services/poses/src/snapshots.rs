@@ -58,7 +58,9 @@ fn folders(folder: &Path) -> Vec<PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use segwild_scene::colmap::{CameraModel, CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction};
+    use segwild_scene::colmap::{
+        CameraModel, CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction,
+    };
     use std::time::Duration;
 
     fn names<'a>(all: &[&'a str]) -> BTreeSet<&'a str> {
@@ -115,8 +117,10 @@ mod tests {
             std::fs::File::open(&folder).unwrap().set_modified(time).unwrap();
         }
         thin(dir.path());
-        let mut left: Vec<String> =
-            folders(dir.path()).iter().map(|path| path.file_name().unwrap().to_string_lossy().into()).collect();
+        let mut left: Vec<String> = folders(dir.path())
+            .iter()
+            .map(|path| path.file_name().unwrap().to_string_lossy().into())
+            .collect();
         left.sort();
         assert_eq!(left, ["1", "3"]);
         thin(&dir.path().join("none"));

@@ -215,7 +215,10 @@ fn poses_that_were_interrupted_go_on_and_a_further_photo_is_added_to_them() {
     std::fs::write(&record, undone.to_string()).expect("a record");
     let continued = segwild(&command);
     let messages = text(&continued.stderr);
-    assert!(continued.status.success() && messages.contains("goes on from the poses of 7 of 7"), "{messages}");
+    assert!(
+        continued.status.success() && messages.contains("goes on from the poses of 7 of 7"),
+        "{messages}"
+    );
     assert_eq!(calls(&run, "--input_path"), 1);
     are_the_true_ones(&posed(&scene, &run));
 

@@ -293,7 +293,8 @@ fn description(path: &Path, bytes: &[u8]) -> Result<(GlbDocument, usize), SceneE
     let document: GlbDocument =
         serde_json::from_slice(json).map_err(|e| invalid(path, format!("it is damaged: {e}")))?;
     if let Some(other) = document.extensions_required.iter().find(|name| !HARMLESS.contains(&name.as_str())) {
-        let reason = format!("it takes the extension `{}`, which is not read: write it as .ply", plain(other));
+        let reason =
+            format!("it takes the extension `{}`, which is not read: write it as .ply", plain(other));
         return Err(invalid(path, reason));
     }
     Ok((document, end))
@@ -344,8 +345,9 @@ fn instances<'a>(path: &Path, document: &'a GlbDocument) -> Result<Vec<GlbInstan
         }
     }
     if found.is_empty() {
-        let reason =
-            format!("no primitive in its scene has `{EXTENSION}`: it is a mesh or a cloud of points, and no splats");
+        let reason = format!(
+            "no primitive in its scene has `{EXTENSION}`: it is a mesh or a cloud of points, and no splats"
+        );
         return Err(invalid(path, reason));
     }
     Ok(found)
@@ -382,14 +384,11 @@ fn colour_attribute(degree: u32, coefficient: u32) -> String {
 }
 
 /// The splats of a primitive, and the degree of its colours.
-fn extent(
-    path: &Path,
-    document: &GlbDocument,
-    primitive: &GlbPrimitive,
-) -> Result<(usize, u32), SceneError> {
+fn extent(path: &Path, document: &GlbDocument, primitive: &GlbPrimitive) -> Result<(usize, u32), SceneError> {
     let has = |degree: u32, k: u32| primitive.attributes.contains_key(&colour_attribute(degree, k));
     let present = |degree: u32| (0..=2 * degree).filter(|&k| has(degree, k)).count();
-    let degree = (1..=DEGREES).take_while(|&degree| present(degree) == 2 * degree as usize + 1).count() as u32;
+    let degree =
+        (1..=DEGREES).take_while(|&degree| present(degree) == 2 * degree as usize + 1).count() as u32;
     if let Some(part) = (degree + 1..=DEGREES).find(|&degree| present(degree) > 0) {
         let reason = format!("a part of the colour coefficients up to degree {part} is missing");
         return Err(invalid(path, reason));

@@ -277,7 +277,9 @@ fn unknown(path: &Path, ending: &str) -> SceneError {
             path.display()
         ),
         "gltf" => "glTF in several files is not read: pack it into one .glb".to_owned(),
-        _ => "it is no file of splats: .ply, .compressed.ply, .splat, .spz, .glb and .sog are read".to_owned(),
+        _ => {
+            "it is no file of splats: .ply, .compressed.ply, .splat, .spz, .glb and .sog are read".to_owned()
+        }
     };
     SceneError::invalid(path, "the start of the file", reason)
 }

@@ -126,7 +126,10 @@ fn meta(path: &Path, archive: &ZipArchive) -> Result<SogMeta, SceneError> {
     let tables = [meta.scales.as_ref(), meta.sh0.as_ref()].into_iter().flatten().map(|table| &table.codebook);
     for table in tables.chain(meta.rest.as_ref().map(|rest| &rest.codebook)) {
         if table.len() != CODEBOOK {
-            return Err(invalid(path, format!("a table has {} numbers, and {CODEBOOK} are read", table.len())));
+            return Err(invalid(
+                path,
+                format!("a table has {} numbers, and {CODEBOOK} are read", table.len()),
+            ));
         }
     }
     Ok(meta)
@@ -172,8 +175,7 @@ pub(super) fn read(path: &Path, bytes: &[u8], most: usize) -> Result<Splats, Sce
     let sh0 = meta.sh0.as_ref().ok_or_else(|| missing("sh0"))?;
     let image = |name: &str| pixels(path, &archive, name, n);
     let [low, high] = [image(&means.files[0])?, image(&means.files[1])?];
-    let [sizes, turns, colours] =
-        [image(&scales.files[0])?, image(&quats.files[0])?, image(&sh0.files[0])?];
+    let [sizes, turns, colours] = [image(&scales.files[0])?, image(&quats.files[0])?, image(&sh0.files[0])?];
     let rest = meta.rest.as_ref().map(|rest| SogColours::read(path, &archive, rest, n)).transpose()?;
     let sh_degree = rest.as_ref().map_or(0, |rest| rest.bands);
     let mut splats = Splats { sh_degree, ..Splats::default() };

@@ -186,7 +186,9 @@ fn an_archive_that_is_no_sog_is_refused_in_words() {
         assert!(message.contains(words) && message.contains("odd.sog"), "{words}: {message}");
     }
     std::fs::write(&path, zip(&[("other.txt", b"text")])).unwrap();
-    assert!(SplatFile::open(&path).unwrap_err().to_string().contains("`meta.json` in the archive: it is missing"));
+    assert!(
+        SplatFile::open(&path).unwrap_err().to_string().contains("`meta.json` in the archive: it is missing")
+    );
 }
 
 #[test]
@@ -212,7 +214,10 @@ fn a_glb_that_this_program_wrote_comes_back() {
             assert_eq!((file.writer.antialias, file.writer.up), (Some(antialias), Some(UpAxis::MinusY)));
             assert!(file.writer.program.unwrap().starts_with("segwild "));
             let off = differences(&splats.to_file_frame(&frame), &read(&path));
-            assert!(off.iter().zip([1e-6, 2e-6, 1e-6, 1e-5, 1e-6]).all(|(off, most)| *off <= most), "{off:?}");
+            assert!(
+                off.iter().zip([1e-6, 2e-6, 1e-6, 1e-5, 1e-6]).all(|(off, most)| *off <= most),
+                "{off:?}"
+            );
         }
     }
     let logit = read(&path).opacities[0];
@@ -225,7 +230,8 @@ fn glb(description: &Value, data: &[u8]) -> Vec<u8> {
     json.resize(json.len().next_multiple_of(4), b' ');
     let word = |n: usize| (n as u32).to_le_bytes();
     let length = 12 + 8 + json.len() + 8 + data.len();
-    let header = [&b"glTF"[..], &word(2)[..], &word(length)[..], &word(json.len())[..], &b"JSON"[..]].concat();
+    let header =
+        [&b"glTF"[..], &word(2)[..], &word(length)[..], &word(json.len())[..], &b"JSON"[..]].concat();
     [&header[..], &json[..], &word(data.len())[..], &b"BIN\0"[..], data].concat()
 }
 
@@ -296,7 +302,10 @@ fn a_glb_is_read_with_its_nodes_strides_and_whole_numbers() {
     for (i, y) in [(0, -2.0), (1, 2.0)] {
         assert!((splats.mean(i) - Vec3::new(0.0, y, 10.0)).length() < 1e-5, "{:?}", splats.means);
         let variances = splats.covariance(i);
-        assert!(variances.abs_diff_eq(Mat3::from_diagonal(Vec3::new(0.25, 1.0, 0.0625)), 1e-5), "{variances}");
+        assert!(
+            variances.abs_diff_eq(Mat3::from_diagonal(Vec3::new(0.25, 1.0, 0.0625)), 1e-5),
+            "{variances}"
+        );
     }
     assert!((splats.opacity(0) - 0.2).abs() < 1e-6 && (splats.opacity(1) - 0.8).abs() < 1e-6);
     assert_eq!(splats.sh, [0.1, 0.2, 0.3, 0.1, 0.2, 0.3]);
@@ -493,7 +502,11 @@ fn files_of_each_program_are_recognised_and_read_in_its_order() {
         assert_eq!(writer.program.as_deref(), Some(program));
         assert_eq!((writer.up, writer.antialias), (up, antialias), "{program}");
         let splats = read(&path);
-        assert_eq!((splats.means[1], splats.log_scales[1]), ([1.0, 2.0, 3.0], [-3.0, -4.0, -5.0]), "{program}");
+        assert_eq!(
+            (splats.means[1], splats.log_scales[1]),
+            ([1.0, 2.0, 3.0], [-3.0, -4.0, -5.0]),
+            "{program}"
+        );
         assert_eq!((splats.rotations[1], splats.opacities[1]), ([0.8, 0.0, -0.6, 0.0], 0.5), "{program}");
         // Red's coefficients come first, then green's, then blue's.
         let own = &splats.sh[splats.sh_stride()..];
