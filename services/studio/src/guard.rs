@@ -3,7 +3,8 @@
 //! The address that `segwild serve` prints carries the token. The first request with it gets a cookie, so that the address bar and
 //! the browser's history lose it. Programs send it as `Authorization: Bearer`, those that speak gRPC as well.
 
-use crate::rates::{RatedClient, RequestRates};
+use crate::rates::{RatedClient, RequestCost, RequestRates};
+use crate::{grpc, routes};
 use axum::extract::{ConnectInfo, Request, State};
 use axum::http::uri::Authority;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
@@ -144,6 +145,11 @@ fn too_many(call: bool, wait: Duration) -> Response {
     response
 }
 
+/// What a request of a path costs, whether it comes as JSON or as gRPC.
+fn cost_of(path: &str) -> RequestCost {
+    grpc::call_of(path).or_else(|| routes::call_of(path)).map_or(RequestCost::LEAST, RequestCost::of)
+}
+
 /// The address that a request comes from.
 fn client_of(request: &Request) -> IpAddr {
     let connection = request.extensions().get::<ConnectInfo<SocketAddr>>();
@@ -173,7 +179,8 @@ async fn answer(guard: &Guard, request: Request, next: Next) -> Response {
     // The right token passes however many wrong ones come from the same address: nobody locks others out of their own machine. A
     // token has too many bits to be found by trying.
     let client = RatedClient::of(client_of(&request), checked.is_ok());
-    if let Err(wait) = guard.rates.admit(client, Instant::now()) {
+    let cost = if checked.is_ok() { cost_of(request.uri().path()) } else { RequestCost::LEAST };
+    if let Err(wait) = guard.rates.admit(client, cost, Instant::now()) {
         return too_many(call, wait);
     }
     match checked {
@@ -191,6 +198,15 @@ async fn answer(guard: &Guard, request: Request, next: Next) -> Response {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_click_costs_more_than_a_candidate_by_either_form() {
+        let of_run = |path: &str| cost_of(&format!("/api/v1/runs/a/{path}"));
+        let click = RequestCost::of("Act");
+        assert_eq!((of_run("act"), cost_of("/segwild.v1.Session/Act")), (click, click));
+        assert_eq!((of_run("hover"), cost_of("/page/main.js")), (RequestCost::LEAST, RequestCost::LEAST));
+        assert!(click != RequestCost::LEAST && of_run("objects/1/ply") != click);
+    }
 
     #[test]
     fn a_client_that_asks_too_often_reads_how_long_to_wait() {

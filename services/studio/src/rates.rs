@@ -1,4 +1,5 @@
-//! How often clients may ask. A client has a bucket of requests, which fills again with time; without one left it waits.
+//! How much clients may request. A client has a bucket, which fills again with time; a request takes of it what its
+//! answer costs, and without enough left the client waits.
 
 use segwild_flow::lock;
 use std::collections::HashMap;
@@ -6,15 +7,44 @@ use std::net::{IpAddr, Ipv6Addr};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
-/// Candidates and renders that a page asks for in a second at most: one of each per frame of the fastest displays while a pointer
-/// moves, and each only once the one before is there.
-const PER_PAGE: f64 = 2.0 * 240.0;
+/// What a request takes of its client's bucket. A candidate under the pointer is 1, which is 10 to 20 ms of a processor;
+/// so is what costs less, such as a file of the page.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct RequestCost(f64);
+
+impl RequestCost {
+    /// Of a candidate, of the state, of a file of the page, and of a refusal.
+    pub const LEAST: RequestCost = RequestCost(1.0);
+    /// Of a photo that is decoded.
+    const PHOTO: RequestCost = RequestCost(2.0);
+    /// Of a render.
+    const RENDER: RequestCost = RequestCost(4.0);
+    /// Of a click, which all photos answer unless the next click cancels it; of other actions; of renders into all photos.
+    const ACTION: RequestCost = RequestCost(20.0);
+    /// Of a file with splats or masks, and of a training.
+    const EXPORT: RequestCost = RequestCost(100.0);
+
+    /// That of a call of `session.proto`.
+    pub fn of(call: &str) -> RequestCost {
+        match call {
+            "Photo" | "TrainingPhoto" => RequestCost::PHOTO,
+            "Frame" | "Pick" | "PhotoLabels" => RequestCost::RENDER,
+            "Act" | "ObjectPhotos" | "Changes" => RequestCost::ACTION,
+            "Save" | "Coco" | "ObjectFile" | "LabelledPly" | "Splats" | "Train" => RequestCost::EXPORT,
+            _ => RequestCost::LEAST,
+        }
+    }
+}
+
+/// What a page takes in a second at most: a candidate and a render per frame of the fastest displays while a pointer moves,
+/// each only once the one before is there.
+const PER_PAGE: f64 = 240.0 * (RequestCost::LEAST.0 + RequestCost::RENDER.0);
 
 /// Pages of one address that do so at a time.
 const PAGES: f64 = 4.0;
 
-/// For clients with the token. A page that opens asks for some files and for the thumbnails that are in sight.
-const WITH_TOKEN: RateLimit = RateLimit { most: 4000.0, per_second: PAGES * PER_PAGE };
+/// For clients with the token. A page that opens requests some files, the splats, and the thumbnails that are in sight.
+const WITH_TOKEN: RateLimit = RateLimit { most: 10_000.0, per_second: PAGES * PER_PAGE };
 
 /// For requests that are refused: a page with an earlier token tries again every few seconds.
 const REFUSED: RateLimit = RateLimit { most: 60.0, per_second: 5.0 };
@@ -25,7 +55,7 @@ const MOST_CLIENTS: usize = 1024;
 /// Bits of an IPv6 address that name a network; the rest is its owner's to choose.
 const NETWORK: u128 = u128::MAX << 64;
 
-/// How many requests a client may save up, and how many it gets in a second.
+/// How much a client may save up, and how much it gets in a second.
 #[derive(Clone, Copy, Debug)]
 struct RateLimit {
     most: f64,
@@ -83,8 +113,8 @@ impl RequestRates {
     /// Takes a request of a client, at a time.
     ///
     /// # Errors
-    /// How long the client has to wait, where it has none left.
-    pub fn admit(&self, client: RatedClient, now: Instant) -> Result<(), Duration> {
+    /// How long the client has to wait, where it has not enough left.
+    pub fn admit(&self, client: RatedClient, cost: RequestCost, now: Instant) -> Result<(), Duration> {
         let limit = client.limit();
         let mut buckets = lock(&self.buckets);
         if !buckets.contains_key(&client) && buckets.len() >= MOST_CLIENTS {
@@ -101,10 +131,11 @@ impl RequestRates {
         }
         let bucket = buckets.entry(client).or_insert(RequestBucket { left: limit.most, at: now });
         bucket.refill(limit, now);
-        if bucket.left < 1.0 {
-            return Err(Duration::from_secs_f64((1.0 - bucket.left) / limit.per_second));
+        let RequestCost(cost) = cost;
+        if bucket.left < cost {
+            return Err(Duration::from_secs_f64((cost - bucket.left) / limit.per_second));
         }
-        bucket.left -= 1.0;
+        bucket.left -= cost;
         Ok(())
     }
 }
@@ -112,6 +143,8 @@ impl RequestRates {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const LEAST: RequestCost = RequestCost::LEAST;
 
     fn client(last: u8, has_token: bool) -> RatedClient {
         RatedClient::of(IpAddr::from([192, 0, 2, last]), has_token)
@@ -121,21 +154,45 @@ mod tests {
     fn passing(
         rates: &RequestRates,
         client: RatedClient,
+        cost: RequestCost,
         from: Instant,
         requests: u32,
         every: Duration,
     ) -> u32 {
-        (0..requests).map(|k| u32::from(rates.admit(client, from + every * k).is_ok())).sum()
+        (0..requests).map(|k| u32::from(rates.admit(client, cost, from + every * k).is_ok())).sum()
     }
 
     #[test]
     fn hovering_on_the_fastest_display_never_waits() {
         let (rates, start) = (RequestRates::default(), Instant::now());
-        let (every, requests) = (Duration::from_secs_f64(1.0 / PER_PAGE), 100_000);
-        assert_eq!(passing(&rates, client(1, true), start, requests, every), requests);
-        // Nor do four pages of one machine.
-        let every = every.div_f64(PAGES);
-        assert_eq!(passing(&rates, client(2, true), start, requests, every), requests);
+        // A candidate and a render per frame, of each of four pages of one machine.
+        for frame in 0..50_000 {
+            let now = start + Duration::from_secs_f64(1.0 / 240.0) * frame;
+            for cost in [LEAST, RequestCost::of("Frame")].repeat(PAGES as usize) {
+                assert_eq!(rates.admit(client(1, true), cost, now), Ok(()), "frame {frame}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_costs_more_passes_less_often() {
+        let calls = ["Hover", "Photo", "Frame", "Act", "ObjectFile"];
+        let now = Instant::now();
+        let count = |call: &str| {
+            let (rates, cost) = (RequestRates::default(), RequestCost::of(call));
+            passing(&rates, client(1, true), cost, now, 2 * WITH_TOKEN.most as u32, Duration::ZERO)
+        };
+        let counts: Vec<u32> = calls.iter().map(|call| count(call)).collect();
+        assert!(counts.is_sorted_by(|a, b| a > b), "{counts:?}");
+        // A person who clicks and exports as fast as they can does not wait.
+        assert!(counts[3] >= 100 && counts[4] >= 20, "{counts:?}");
+        // Exports that had to wait leave what a candidate needs.
+        let (rates, client) = (RequestRates::default(), client(1, true));
+        let export = RequestCost::of("ObjectFile");
+        assert_eq!(passing(&rates, client, export, now, 1000, Duration::ZERO), counts[4]);
+        let wait = rates.admit(client, export, now).unwrap_err();
+        assert!(wait < Duration::from_secs(1), "{wait:?}");
+        assert_eq!(rates.admit(client, LEAST, now + wait), Ok(()));
     }
 
     #[test]
@@ -143,23 +200,23 @@ mod tests {
         let (rates, start) = (RequestRates::default(), Instant::now());
         let flooding = client(1, true);
         let most = WITH_TOKEN.most as u32;
-        assert_eq!(passing(&rates, flooding, start, 3 * most, Duration::ZERO), most);
-        let wait = rates.admit(flooding, start).unwrap_err();
+        assert_eq!(passing(&rates, flooding, LEAST, start, 3 * most, Duration::ZERO), most);
+        let wait = rates.admit(flooding, LEAST, start).unwrap_err();
         assert!(wait > Duration::ZERO && wait < Duration::from_secs(1), "{wait:?}");
-        assert_eq!(rates.admit(flooding, start + 2 * wait), Ok(()));
+        assert_eq!(rates.admit(flooding, LEAST, start + 2 * wait), Ok(()));
         // Somebody else, and a clock that steps back, lose nothing.
-        assert_eq!(rates.admit(client(2, true), start), Ok(()));
+        assert_eq!(rates.admit(client(2, true), LEAST, start), Ok(()));
         let later = start + Duration::from_secs(3600);
-        assert_eq!(passing(&rates, flooding, later, 3 * most, Duration::ZERO), most);
-        assert!(rates.admit(flooding, start).is_err());
+        assert_eq!(passing(&rates, flooding, LEAST, later, 3 * most, Duration::ZERO), most);
+        assert!(rates.admit(flooding, LEAST, start).is_err());
     }
 
     #[test]
     fn refused_requests_use_nothing_up_of_those_with_the_token() {
         let (rates, now) = (RequestRates::default(), Instant::now());
         let most = REFUSED.most as u32;
-        assert_eq!(passing(&rates, client(1, false), now, 2 * most, Duration::ZERO), most);
-        assert_eq!(rates.admit(client(1, true), now), Ok(()));
+        assert_eq!(passing(&rates, client(1, false), LEAST, now, 2 * most, Duration::ZERO), most);
+        assert_eq!(rates.admit(client(1, true), LEAST, now), Ok(()));
     }
 
     #[test]
@@ -172,7 +229,7 @@ mod tests {
         let many = 2 * MOST_CLIENTS as u32;
         for k in 0..many {
             let client = RatedClient::of(IpAddr::from(k.to_be_bytes()), false);
-            assert_eq!(rates.admit(client, now), Ok(()));
+            assert_eq!(rates.admit(client, LEAST, now), Ok(()));
         }
         assert!(lock(&rates.buckets).len() <= MOST_CLIENTS);
     }

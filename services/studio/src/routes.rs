@@ -111,6 +111,17 @@ impl ApiMethod {
     }
 }
 
+/// The call of `session.proto` that a request of this path makes; `None` for files of the page and for what is not there.
+pub(crate) fn call_of(path: &str) -> Option<&'static str> {
+    let path = path.strip_prefix(ROOT)?;
+    let fits = |route: &&ApiRoute| {
+        let (wanted, present) = (route.path.split('/'), path.split('/'));
+        wanted.clone().count() == present.clone().count()
+            && wanted.zip(present).all(|(wanted, present)| wanted.starts_with('{') || wanted == present)
+    };
+    API.iter().find(fits).map(|route| route.call)
+}
+
 /// All routes, without their guard.
 pub(crate) fn routes(runs: Runs) -> Router {
     let mut router = Router::new()
@@ -336,4 +347,20 @@ fn object_file(method: MethodFilter, format: SplatFormat) -> MethodRouter<Runs> 
         Ok(attached(&name, bytes))
     };
     on(method, answer)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_path_names_its_call() {
+        for route in API {
+            let path = route.path.replace('{', "a%2F").replace('}', "");
+            assert_eq!(call_of(&format!("{ROOT}{path}")), Some(route.call), "{}", route.path);
+            assert_eq!(call_of(&format!("{ROOT}{path}/")), None);
+            assert_eq!(crate::grpc::call_of(&format!("/segwild.v1.Session/{}", route.call)), Some(route.call));
+        }
+        assert_eq!((call_of("/page/main.js"), crate::grpc::call_of("/")), (None, None));
+    }
 }

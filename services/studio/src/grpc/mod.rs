@@ -27,6 +27,11 @@ pub(crate) fn session(runs: Runs, most_request: usize) -> (String, SessionServer
     (format!("/{SERVICE_NAME}/{{*call}}"), service)
 }
 
+/// The call that a path names; `None` where it is none of this service's.
+pub(crate) fn call_of(path: &str) -> Option<&str> {
+    path.strip_prefix('/')?.strip_prefix(SERVICE_NAME)?.strip_prefix('/')
+}
+
 impl From<Refusal> for Status {
     fn from(refusal: Refusal) -> Status {
         match refusal {
