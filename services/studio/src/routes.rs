@@ -359,7 +359,10 @@ mod tests {
             let path = route.path.replace('{', "a%2F").replace('}', "");
             assert_eq!(call_of(&format!("{ROOT}{path}")), Some(route.call), "{}", route.path);
             assert_eq!(call_of(&format!("{ROOT}{path}/")), None);
-            assert_eq!(crate::grpc::call_of(&format!("/segwild.v1.Session/{}", route.call)), Some(route.call));
+            assert_eq!(
+                crate::grpc::call_of(&format!("/segwild.v1.Session/{}", route.call)),
+                Some(route.call)
+            );
         }
         assert_eq!((call_of("/page/main.js"), crate::grpc::call_of("/")), (None, None));
     }
