@@ -20,13 +20,13 @@ use axum::response::Response;
 use hyper::body::Incoming;
 use hyper::server::conn::{http1, http2};
 use hyper::service::{Service, service_fn};
-use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
+use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Semaphore, watch};
 use tokio::task::AbortHandle;
 
-use crate::slow::{CountedBody, OpenRequest, TimedBody, TimedStream, idle};
+use crate::slow::{AnswerExecutor, CountedBody, OpenRequest, TimedBody, TimedStream, idle};
 
 /// What a server allows its clients.
 #[derive(Clone, Copy, Debug)]
@@ -59,8 +59,8 @@ pub const HEAD_TIME: Duration = Duration::from_secs(5);
 pub const HEAD_BYTES: usize = 16 << 10;
 /// A request's body must be there after this time: a mebibyte over a slow line takes as long.
 const BODY_TIME: Duration = Duration::from_secs(20);
-/// A client whose connection takes no bytes for so long is dropped, also one that follows events. By HTTP/1 that is one which reads
-/// nothing of its answer; by HTTP/2 it may leave one answer unread and read others.
+/// A client whose connection takes no bytes for so long is dropped, also one that follows events. By HTTP/2 an answer of which its
+/// client takes nothing for so long is given up as well, whatever it reads of others.
 const WRITE_TIME: Duration = Duration::from_secs(30);
 /// A connection by HTTP/2 without a request ends after this time; clients connect again by themselves. One by HTTP/1 has
 /// [`HEAD_TIME`] for its next request.
@@ -228,7 +228,7 @@ async fn by_http2(
         let request = OpenRequest::new(&open);
         async move { answer.await.map(|response| response.map(|body| CountedBody::new(body, request))) }
     });
-    let connection = http2::Builder::new(TokioExecutor::new())
+    let connection = http2::Builder::new(AnswerExecutor::new(WRITE_TIME))
         .timer(TokioTimer::new())
         .keep_alive_interval(SIGN_OF_LIFE)
         .keep_alive_timeout(SIGN_OF_LIFE)
@@ -240,7 +240,8 @@ async fn by_http2(
         ended = connection.as_mut() => return ended,
         () = idle(requests, IDLE_TIME) => connection.as_mut().graceful_shutdown(),
     }
-    connection.await
+    // What is left of the last answers is not waited for without end.
+    tokio::time::timeout(WRITE_TIME, connection).await.unwrap_or(Ok(()))
 }
 
 /// The connections that are open, the oldest first: each with whether its request came.

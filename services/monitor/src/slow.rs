@@ -1,12 +1,15 @@
 //! How long slow clients are waited for: that read no answer, that send a body bit by bit, that keep a connection for nothing.
 
+use std::future::pending;
 use std::io::{self, IoSlice};
 use std::pin::Pin;
 use std::sync::Arc;
-use std::task::{Context, Poll};
+use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
+use axum::body::Bytes;
 use hyper::body::{Body, Frame, SizeHint};
+use hyper::rt::Executor;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::sync::watch;
 use tokio::time::Sleep;
@@ -14,8 +17,7 @@ use tokio::time::Sleep;
 type BoxError = Box<dyn std::error::Error + Send + Sync>;
 
 /// A stream that fails once nothing could be written for a time: its client does not read. By HTTP/2 a client that takes nothing of
-/// one answer may read the rest of its connection, which is no failure of the stream: such an answer waits as long as the client is
-/// there.
+/// one answer may read the rest of its connection, which is no failure of the stream: [`AnswerExecutor`] ends such an answer.
 pub(crate) struct TimedStream<S> {
     stream: S,
     time: Duration,
@@ -135,15 +137,86 @@ impl Drop for OpenRequest {
     }
 }
 
-/// An answer's body, whose request is open until all of it is sent: a stream of events as long as somebody follows it.
+/// Bytes of an answer that are handed on at a time by HTTP/2: the client has to take them before the next ones are.
+const MOST_PART: usize = 16 << 10;
+
+/// Whether a part of an answer waits for its client. Every part that is taken is a change.
+type WaitingPart = watch::Sender<bool>;
+
+tokio::task_local! {
+    /// Of the answer that the present task makes.
+    static WAITING: Arc<WaitingPart>;
+}
+
+/// Runs the answers of a connection by HTTP/2, each in a task of its own. An answer of which its client takes nothing for a time
+/// is given up, and its stream is reset; the other answers of the connection go on.
+#[derive(Clone, Debug)]
+pub(crate) struct AnswerExecutor {
+    time: Duration,
+}
+
+impl AnswerExecutor {
+    pub fn new(time: Duration) -> AnswerExecutor {
+        AnswerExecutor { time }
+    }
+}
+
+impl<F> Executor<F> for AnswerExecutor
+where
+    F: Future + Send + 'static,
+    F::Output: Send + 'static,
+{
+    fn execute(&self, answer: F) {
+        let waiting = Arc::new(WaitingPart::new(false));
+        let not_taken = not_taken(waiting.subscribe(), self.time);
+        tokio::spawn(WAITING.scope(waiting, async move {
+            tokio::select! {
+                _ = answer => {}
+                () = not_taken => {}
+            }
+        }));
+    }
+}
+
+/// Returns once a part has waited for its client for a time.
+async fn not_taken(mut waiting: watch::Receiver<bool>, time: Duration) {
+    loop {
+        let waits = *waiting.borrow_and_update();
+        let changed = match waits {
+            true => match tokio::time::timeout(time, waiting.changed()).await {
+                Ok(changed) => changed,
+                Err(_) => return,
+            },
+            false => waiting.changed().await,
+        };
+        if changed.is_err() {
+            return pending().await;
+        }
+    }
+}
+
+/// An answer's body, whose request is open until all of it is sent: a stream of events as long as somebody follows it. It comes in
+/// parts of [`MOST_PART`] bytes at most, so that an answer waits here and not in the connection's memory.
 pub(crate) struct CountedBody {
     body: axum::body::Body,
+    /// What came of the body and is not handed on yet.
+    rest: Bytes,
+    /// `None` outside of an [`AnswerExecutor`].
+    waiting: Option<Arc<WaitingPart>>,
     _request: OpenRequest,
 }
 
 impl CountedBody {
+    /// Has to be called in the answer's own task.
     pub fn new(body: axum::body::Body, request: OpenRequest) -> CountedBody {
-        CountedBody { body, _request: request }
+        let waiting = WAITING.try_with(Arc::clone).ok();
+        CountedBody { body, rest: Bytes::new(), waiting, _request: request }
+    }
+
+    fn waits(&self, waits: bool) {
+        if let Some(waiting) = &self.waiting {
+            waiting.send_replace(waits);
+        }
     }
 }
 
@@ -155,15 +228,35 @@ impl Body for CountedBody {
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
     ) -> Poll<Option<Result<Frame<Self::Data>, axum::Error>>> {
-        Pin::new(&mut self.body).poll_frame(cx)
+        // Who wants the next part has taken the one before.
+        self.waits(false);
+        if self.rest.is_empty() {
+            match ready!(Pin::new(&mut self.body).poll_frame(cx)) {
+                Some(Ok(frame)) => match frame.into_data() {
+                    Ok(data) => self.rest = data,
+                    Err(trailers) => return Poll::Ready(Some(Ok(trailers))),
+                },
+                ended => return Poll::Ready(ended),
+            }
+        }
+        let length = self.rest.len().min(MOST_PART);
+        let part = self.rest.split_to(length);
+        self.waits(true);
+        Poll::Ready(Some(Ok(Frame::data(part))))
     }
 
     fn is_end_stream(&self) -> bool {
-        self.body.is_end_stream()
+        self.rest.is_empty() && self.body.is_end_stream()
     }
 
     fn size_hint(&self) -> SizeHint {
-        self.body.size_hint()
+        let (body, rest) = (self.body.size_hint(), self.rest.len() as u64);
+        let mut whole = SizeHint::new();
+        whole.set_lower(body.lower() + rest);
+        if let Some(upper) = body.upper() {
+            whole.set_upper(upper + rest);
+        }
+        whole
     }
 }
 
@@ -239,6 +332,51 @@ mod tests {
             let frame = tokio::time::timeout(LONG, poll_fn(|cx| Pin::new(&mut body).poll_frame(cx)));
             let error = frame.await.unwrap().unwrap().unwrap_err();
             assert!(error.to_string().contains("in time"), "{error}");
+        });
+    }
+
+    #[test]
+    fn an_answer_of_which_its_client_takes_nothing_is_given_up() {
+        wait(async {
+            let (open, mut requests) = watch::channel(0);
+            let open = Arc::new(open);
+            let bytes: Vec<u8> = (0..3 * MOST_PART + 7).map(|i| (i % 251) as u8).collect();
+            // Takes a part, and the next one after a pause, as a connection does whose client opens its window.
+            let answer = |pause: Duration, time: Duration| {
+                let (request, bytes) = (OpenRequest::new(&open), bytes.clone());
+                let (done, read) = tokio::sync::oneshot::channel();
+                let taking = async move {
+                    let mut body = CountedBody::new(bytes.into(), request);
+                    assert_eq!(body.size_hint().exact(), Some(3 * MOST_PART as u64 + 7));
+                    let mut taken: Vec<Bytes> = Vec::new();
+                    while let Some(part) = poll_fn(|cx| Pin::new(&mut body).poll_frame(cx)).await {
+                        taken.push(part.unwrap().into_data().unwrap());
+                        tokio::time::sleep(pause).await;
+                    }
+                    assert!(body.is_end_stream());
+                    let _ = done.send(taken);
+                };
+                AnswerExecutor::new(time).execute(taking);
+                read
+            };
+            // In all it takes longer than a part may.
+            let slow = answer(7 * SHORT, 25 * SHORT);
+            let taken = tokio::time::timeout(LONG, slow).await.unwrap().unwrap();
+            assert!(taken.len() == 4 && taken.iter().all(|part| part.len() <= MOST_PART));
+            assert_eq!(taken.concat(), bytes);
+            let stuck = answer(2 * LONG, SHORT);
+            assert!(tokio::time::timeout(LONG, stuck).await.unwrap().is_err(), "its task has ended");
+            let over = requests.wait_for(|open| *open == 0);
+            assert!(tokio::time::timeout(LONG, over).await.unwrap().is_ok());
+        });
+    }
+
+    #[test]
+    fn an_answer_that_has_nothing_to_send_is_waited_for() {
+        wait(async {
+            let waiting = WaitingPart::new(false);
+            let not_taken = not_taken(waiting.subscribe(), SHORT);
+            assert!(tokio::time::timeout(3 * SHORT, not_taken).await.is_err());
         });
     }
 
