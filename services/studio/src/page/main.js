@@ -1,13 +1,15 @@
 // The page: one state from the server, shown by the panes; what a person does goes back as actions.
 
 import { Refused, Run, getJson } from "./api.js";
-import { centreOf, cross, dot, subtract, unit } from "./geometry.js";
+import { centreOf, cross, dot, scaled, subtract, unit } from "./geometry.js";
 import { Side, element } from "./objects.js";
+import { ANSWER, bounds, decode, nearest } from "./overlay.js";
 import { LEVELS, PhotoPane, Strip } from "./photos.js";
 import { ScenePane } from "./scene.js";
-import { actionOf, keysOf, shortcuts, shown } from "./shortcuts.js";
+import { actionOf, keysOf, shortcuts, shown, tipOf } from "./shortcuts.js";
 import { StatusPane } from "./status.js";
 import { text } from "./strings.js";
+import { RADIUS, SIZED, TOOLS } from "./tools.js";
 import { TrainingPane } from "./training.js";
 
 /** @typedef {import("./api.js").State} State */
@@ -16,8 +18,6 @@ import { TrainingPane } from "./training.js";
 /** @typedef {import("./api.js").Item} Item */
 
 const of = (/** @type {string} */ id) => /** @type {HTMLElement} */ (document.getElementById(id));
-/** Tools that mark splats by hand. */
-const TOOLS = ["prompt", "rectangle", "lasso", "brush", "sphere"];
 /** What keys do where there is no run. */
 const WITHOUT_RUN = ["theme", "help"];
 /** Milliseconds between two tries of a scene that is not there yet. */
@@ -38,7 +38,7 @@ export class App {
     this.rule = "centre";
     this.level = /** @type {number | null} */ (null);
     this.item = /** @type {number | null} */ (null);
-    this.radius = 0.02;
+    this.radius = RADIUS.first;
     /** The object that is being kept, -1 for a new one. @type {number | null} */
     this.keeping = null;
     /** Whether the photo shows its transients, and tools paint them. */
@@ -171,6 +171,8 @@ export class App {
     if (this.keeping !== null && (this.keeping > 0 || state.objects.length > (this.state?.objects.length ?? 0))) {
       this.item = this.keeping > 0 ? this.keeping : state.objects.at(-1)?.id ?? null;
       this.keeping = null;
+      const kept = state.objects.find(item => item.id === this.item);
+      if (kept) this.say(text("kept", kept.name));
     }
     this.state = state;
     if (this.item !== null && !state.objects.some(item => item.id === this.item)) this.item = null;
@@ -178,7 +180,7 @@ export class App {
     this.side.undo();
     this.photoPane.update();
     this.strip.update();
-    if (moved) this.scenePane.redraw();
+    if (moved) this.scenePane.redraw(true);
     of("train").hidden = !state.corrected.length;
     document.body.dataset.answer = state.answer.state;
   }
@@ -252,7 +254,8 @@ export class App {
     for (const tool of TOOLS) {
       const button = element("button", { type: "button", click: () => this.setTool(tool) }, text(`tool_${tool}`));
       button.dataset.tool = tool;
-      button.title = text(`tool_${tool}`) + keysOf(`tool_${tool}`);
+      const tip = tipOf(`tool_${tool}`);
+      button.title = tool === "prompt" ? tip : text("tool_how", tip);
       of("tools").append(button);
     }
     const rule = element("button", { type: "button", id: "rule", click: () => this.nextRule() }, text("rule_centre"));
@@ -312,10 +315,15 @@ export class App {
     this.scenePane.drawCameras();
   }
 
-  /** The prompts of the draft with those of a photo changed. @param {number} photo @param {(of: Prompts) => void} change */
-  prompt(photo, change) {
+  /**
+   * The prompts of the draft with those of a photo changed. What failed by its only prompt is replaced by what selects something: with
+   * it, every answer would fail.
+   * @param {number} photo @param {(of: Prompts) => void} change @param {boolean} [selects]
+   */
+  prompt(photo, change, selects) {
     if (!this.state) return;
-    const prompts = structuredClone(this.state.draft.prompts);
+    const { draft, answer } = this.state, count = draft.prompts.reduce((sum, p) => sum + p.points.length + p.boxes.length, 0);
+    const prompts = selects && answer.state === "failed" && count === 1 ? [] : structuredClone(draft.prompts);
     let own = prompts.find(p => p.photo === photo);
     if (!own) {
       own = { photo, points: [], boxes: [], granularity: this.level };
@@ -332,7 +340,7 @@ export class App {
   addPoint(photo, at, inside) {
     const any = this.state?.draft.prompts.some(p => p.boxes.length || p.points.some(point => point.inside));
     if (!inside && !any) return this.say(text("first_inside"));
-    this.prompt(photo, own => own.points.push({ x: at[0], y: at[1], inside }));
+    this.prompt(photo, own => own.points.push({ x: at[0], y: at[1], inside }), inside);
   }
 
   /** @param {number} photo @param {number[]} a @param {number[]} b */
@@ -340,7 +348,7 @@ export class App {
     const { camera } = this.description.photos[photo];
     const clamp = (/** @type {number} */ v, /** @type {number} */ side) => Math.min(side - 1e-3, Math.max(0, v));
     const [x0, y0, x1, y1] = [clamp(a[0], camera.width), clamp(a[1], camera.height), clamp(b[0], camera.width), clamp(b[1], camera.height)];
-    this.prompt(photo, own => own.boxes.push({ x0, y0, x1, y1 }));
+    this.prompt(photo, own => own.boxes.push({ x0, y0, x1, y1 }), true);
   }
 
   /** @param {number} photo @param {Point} point */
@@ -364,8 +372,14 @@ export class App {
     else if (draft) this.act({ do: "prompt", prompts: draft.prompts, alternative });
   }
 
-  /** @param {number} steps */
+  /** From part to whole; with a tool that has a size, that size. @param {number} steps */
   changeLevel(steps) {
+    if (SIZED.includes(this.tool)) {
+      this.radius = Math.min(RADIUS.most, Math.max(RADIUS.least, this.radius * RADIUS.step ** steps));
+      this.photoPane.preview();
+      this.scenePane.preview();
+      return this.say(text("radius", (200 * this.radius).toFixed(1)));
+    }
     const at = LEVELS.indexOf(this.level) + steps;
     this.setLevel(LEVELS[Math.min(LEVELS.length - 1, Math.max(0, at))]);
   }
@@ -408,6 +422,33 @@ export class App {
     this.act({ do: "region", id: this.item, view: { ...view, camera }, region, how, rule: this.rule });
   }
 
+  /** Turns the 3D view to the answer or the selected object, so near that it fills the view; without one to the scene. */
+  async frameObject() {
+    const found = await this.objectInPhoto().catch(error => this.failed(error));
+    if (found) this.scenePane.frame(found.point, found.radius);
+    else this.scenePane.frameScene();
+  }
+
+  /** A point of the answer or the selected object, and the object's radius as a photo shows it; null where no photo shows it. */
+  async objectInPhoto() {
+    const { state, run, description } = this, item = this.selected(), answer = Boolean(state?.answer.splats);
+    if (!state || !(answer || item)) return null;
+    const label = answer ? ANSWER : state.objects.findIndex(o => o.id === item?.id) + 1;
+    const counts = answer || !item ? [] : await this.photosOf(item);
+    const best = answer ? state.draft.prompts[0]?.photo ?? this.photo : counts.indexOf(Math.max(...counts));
+    for (const photo of new Set([this.photo, best])) {
+      const map = await run.labels(photo), labels = decode(map), box = bounds(labels, map.width, label);
+      if (!box) continue;
+      const { camera, rotation, translation } = description.photos[photo], small = scaled(camera, map.width / camera.width);
+      const at = nearest(labels, map.width, label, [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]);
+      const picked = await run.pick({ camera: small, rotation, translation, at });
+      if (!picked) continue;
+      const depth = dot(subtract(picked.point, centreOf({ rotation, translation })), rotation.slice(6, 9));
+      return { point: picked.point, radius: Math.hypot(box[2] - box[0], box[3] - box[1]) / 2 * depth / small.fx };
+    }
+    return null;
+  }
+
   listen() {
     document.addEventListener("keydown", event => {
       this.held.add(event.code);
@@ -426,7 +467,8 @@ export class App {
     document.addEventListener("keyup", event => this.held.delete(event.code));
     window.addEventListener("blur", () => this.held.clear());
     for (const button of document.querySelectorAll("button[data-act]")) {
-      const act = /** @type {HTMLElement} */ (button).dataset.act ?? "";
+      const act = /** @type {HTMLElement} */ (button).dataset.act ?? "", tip = tipOf(act);
+      if (tip) /** @type {HTMLElement} */ (button).title = tip;
       button.addEventListener("click", () => this.do(act));
     }
     for (const button of of("views").querySelectorAll("button")) {
@@ -463,7 +505,7 @@ export class App {
       rename: () => item && this.side.rename(item.id),
       delete: () => item && this.act({ do: "delete", id: item.id }),
       through: () => scenePane.through(this.photo),
-      frame_object: () => scenePane.frameScene(),
+      frame_object: () => this.frameObject(),
       fly: () => { scenePane.flying = !scenePane.flying; },
       theme: () => {
         const dark = matchMedia("(prefers-color-scheme: dark)").matches !== document.documentElement.matches(".light, .dark");

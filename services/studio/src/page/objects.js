@@ -82,11 +82,15 @@ export class Side {
       parts.push(element("p", { className: "quiet" }, text("refining", item?.name ?? "")));
     }
     if (answer.state === "none") parts.push(element("p", { className: "quiet" }, text("empty")));
-    else if (answer.state === "failed") parts.push(element("p", {}, text("failed", answer.error ?? "")));
+    else if (answer.state === "failed") {
+      parts.push(element("p", {}, text("failed", answer.error ?? "")));
+      if (state.undo === "prompt") parts.push(button(text("take_back"), text("take_back"), () => app.do("undo"), { id: "take-back" }));
+    }
     else {
       const busy = answer.state === "working";
       parts.push(element("p", { className: busy ? "busy" : "" }, text(answer.state, this.step(answer.step, answer.state))));
       if (answer.splats) parts.push(element("p", { className: "quiet" }, text("splats", answer.splats, answer.seconds.toFixed(2))));
+      if (!busy) parts.push(element("p", { className: "quiet" }, text("done_how")));
       if (answer.confidence) parts.push(element("p", { className: "quiet", id: "sure" }, this.sure(answer.confidence)));
     }
     const level = /** @type {HTMLInputElement} */ (element("input", {
@@ -158,6 +162,7 @@ export class Side {
     const tools = element("div", { className: "row" },
       small(item.visible ? "hide" : "show", () => act("show", { visible: !item.visible })),
       small("alone", () => act("isolate", { id: state?.isolated === item.id ? null : item.id }), { label: "isolate", "aria-pressed": state?.isolated === item.id }));
+    tools.append(element("span", { className: "quiet" }, text("save_as")));
     for (const format of selected ? ["ply", "spz", "glb"] : ["ply"]) {
       const label = text("export_file", item.name, format);
       const link = element("a", { href: app.run.file(item.id, format), download: "", title: label },

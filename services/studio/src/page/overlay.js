@@ -61,3 +61,17 @@ export function bounds(labels, width, wanted) {
   }
   return x1 < 0 ? null : [x0, y0, x1, y1];
 }
+
+/**
+ * The middle of the pixel of a label that is nearest to a position.
+ * @param {Uint8Array} labels @param {number} width @param {number} wanted @param {number[]} to
+ */
+export function nearest(labels, width, wanted, to) {
+  let [best, least] = [to, Infinity];
+  for (let i = 0; i < labels.length; i++) {
+    if (labels[i] !== wanted) continue;
+    const at = [i % width + 0.5, ((i / width) | 0) + 0.5], far = Math.hypot(at[0] - to[0], at[1] - to[1]);
+    if (far < least) [best, least] = [at, far];
+  }
+  return best;
+}

@@ -3,10 +3,13 @@
 import { showImage } from "./api.js";
 import { ANSWER, ANSWER_COLOUR, paint } from "./overlay.js";
 import { text } from "./strings.js";
+import { SIZED } from "./tools.js";
 
 /** @typedef {import("./main.js").App} App */
 /** @typedef {import("./api.js").Prompts} Prompts */
 
+/** The number that stands for the answer where an object's is wanted. */
+const ANSWER_ID = 0;
 /** Colour of transients. */
 const TRANSIENT = [255, 140, 0];
 /** Pixels that a pointer moves before a click becomes a drag. */
@@ -163,11 +166,19 @@ export class PhotoPane {
     const at = this.at(event);
     this.hovered = this.inside(at) ? at : null;
     this.hover();
+    this.preview();
   }
 
   leave() {
     this.hovered = null;
     this.clearCandidate();
+    this.preview();
+  }
+
+  /** Shows the size of a brush or a sphere under the pointer. */
+  preview() {
+    stroke.replaceChildren();
+    if (this.hovered && SIZED.includes(this.app.tool)) drawStroke(stroke, "sphere", [this.hovered], this.photo.camera, this.brush());
   }
 
   clearCandidate() {
@@ -321,7 +332,7 @@ export class Strip {
   constructor(app) {
     this.app = app;
     this.list = of("photos");
-    /** Photos that show the selected object, by pixels. @type {number[] | null} */
+    /** Photos that show the answer or the selected object, by pixels. @type {number[] | null} */
     this.showing = null;
     this.shownFor = "";
     const search = /** @type {HTMLInputElement} */ (of("search"));
@@ -330,7 +341,11 @@ export class Strip {
     const sort = /** @type {HTMLSelectElement} */ (of("sort"));
     for (const way of ["sort_name", "sort_angle"]) sort.append(new Option(text(way), way));
     sort.addEventListener("change", () => this.draw());
-    of("showing").addEventListener("change", () => this.draw());
+    of("showing").addEventListener("change", async () => {
+      await this.update();
+      if (/** @type {HTMLInputElement} */ (of("showing")).checked && !this.showing) app.say(text("showing_none"));
+      this.draw();
+    });
   }
 
   /** The photos in the order of the strip. */
@@ -383,13 +398,17 @@ export class Strip {
     return all[(at + steps + all.length) % all.length] ?? this.app.photo;
   }
 
-  /** Finds out which photos show the selected object. */
+  /** Finds out which photos show the answer, if only those are wanted, or else the selected object. */
   async update() {
-    const item = this.app.selected();
-    const wanted = item ? `${item.id}/${item.selection}` : "";
+    const { app } = this, item = app.selected(), answer = app.state?.answer;
+    const only = /** @type {HTMLInputElement} */ (of("showing")).checked && answer?.state === "done" ? answer : null;
+    const wanted = only ? `answer ${only.number}` : item ? `${item.id}/${item.selection}` : "";
     if (wanted === this.shownFor) return;
     this.shownFor = wanted;
-    this.showing = item ? await this.app.photosOf(item).catch(() => null) : null;
+    const found = only ? app.run.photosOf(ANSWER_ID) : item ? app.photosOf(item) : null, showing = await found?.catch(() => null);
+    // Another one may be wanted by now.
+    if (wanted !== this.shownFor) return;
+    this.showing = showing ?? null;
     this.draw();
   }
 }

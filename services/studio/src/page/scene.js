@@ -6,6 +6,7 @@ import { ANSWER, ANSWER_COLOUR } from "./overlay.js";
 import { drawStroke } from "./photos.js";
 import { HIDDEN, SplatView } from "./splats.js";
 import { text } from "./strings.js";
+import { SIZED } from "./tools.js";
 
 /** @typedef {import("./main.js").App} App */
 /** @typedef {import("./api.js").View} View */
@@ -16,12 +17,16 @@ const DRAG = 5;
 const DOUBLE = 220;
 /** Milliseconds without motion after which a view is drawn at full size. */
 const REST = 120;
+/** Milliseconds from which a frame at full size is late: what has changed is shown in a small one before. */
+const LATE = 100;
 /** Longest side that the server draws, in motion and at rest. */
 const SIDES = [480, 1280];
 /** Longest side of what stands behind the browser's splats: it is smooth, so a small image will do. */
 const BACKGROUND = 96;
 /** Times the splats of the last frame that arrive before another one is rendered. */
 const GROWN = 1.5;
+/** Times an object's own extent that its view has. */
+const MARGIN = 1.3;
 /** Frames in which the number of splats of a moving camera is found. */
 const MEASURED = 8;
 /** Cameras that are shown. */
@@ -68,6 +73,10 @@ export class ScenePane {
     this.changes = new Map();
     this.busy = false;
     this.dirty = false;
+    /** Whether the state has changed since the last frame. */
+    this.fresh = false;
+    /** Where the pointer is. @type {number[] | null} */
+    this.pointed = null;
     this.moved = 0;
     this.eye = [0, 0, 0];
     this.forward = [0, 0, 1];
@@ -76,6 +85,15 @@ export class ScenePane {
     this.clicks = 0;
     new ResizeObserver(() => this.redraw()).observe(space);
     space.addEventListener("pointerdown", event => this.press(event));
+    space.addEventListener("pointermove", event => {
+      const box = space.getBoundingClientRect();
+      this.pointed = event.buttons || event.pointerType === "touch" ? null : [event.clientX - box.left, event.clientY - box.top];
+      if (!event.buttons) this.preview();
+    });
+    space.addEventListener("pointerleave", () => {
+      this.pointed = null;
+      this.preview();
+    });
     space.addEventListener("contextmenu", event => event.preventDefault());
     space.addEventListener("wheel", event => {
       event.preventDefault();
@@ -150,20 +168,36 @@ export class ScenePane {
     this.move();
   }
 
+  /** Goes so near to a point that what lies within a radius of it fills the view. @param {number[]} point @param {number} radius */
+  frame(point, radius) {
+    const { fx, fy, width, height } = this.full().camera, far = MARGIN * radius * Math.max(2 * fx / width, 2 * fy / height);
+    this.pivot = point;
+    this.eye = subtract(point, scale(unit(this.forward), Math.max(far, 1e-3)));
+    this.move();
+  }
+
+  /** Shows the size of a brush or a sphere under the pointer. */
+  preview() {
+    stroke.replaceChildren();
+    const size = { width: space.clientWidth, height: space.clientHeight };
+    if (this.pointed && SIZED.includes(this.app.tool)) drawStroke(stroke, "sphere", [this.pointed], size, this.brush());
+  }
+
   /** @param {PointerEvent} event */
   press(event) {
     event.preventDefault();
     space.focus({ preventScroll: true });
     space.setPointerCapture(event.pointerId);
     const box = space.getBoundingClientRect(), start = [event.clientX - box.left, event.clientY - box.top];
-    const path = [start], { tool } = this.app;
+    // With Alt a tool leaves the camera to the pointer.
+    const path = [start], { tool } = this.app, marks = tool !== "prompt" && event.button === 0 && !event.altKey;
     let last = start, far = false;
     const move = (/** @type {PointerEvent} */ e) => {
       const at = [e.clientX - box.left, e.clientY - box.top], [dx, dy] = [at[0] - last[0], at[1] - last[1]];
       far ||= Math.hypot(at[0] - start[0], at[1] - start[1]) > DRAG;
       last = at;
       if (!far && tool === "prompt") return;
-      if (tool !== "prompt" && event.button === 0) {
+      if (marks) {
         if (tool === "lasso" || tool === "brush") path.push(at);
         else path[1] = at;
         return drawStroke(stroke, tool, path, { width: box.width, height: box.height }, this.brush());
@@ -177,11 +211,11 @@ export class ScenePane {
       space.removeEventListener("pointercancel", end);
       stroke.replaceChildren();
       if (e.type === "pointercancel") return;
-      if (tool !== "prompt" && event.button === 0) {
+      if (marks) {
         if (path.length < 2) path.push(path[0]);
         return this.app.region(tool, path, this.full(), this.brush(), e);
       }
-      if (!far) this.click(start, event.button === 2 || event.altKey);
+      if (!far && tool === "prompt") this.click(start, event.button === 2 || event.altKey);
     };
     space.addEventListener("pointermove", move);
     space.addEventListener("pointerup", end);
@@ -199,14 +233,15 @@ export class ScenePane {
       this.through(near);
       return this.app.openPhoto(near);
     }
-    const count = ++this.clicks;
+    // Found while it is not known yet whether it is a double click.
+    const count = ++this.clicks, picking = this.app.run.pick({ ...this.full(), at }).catch(error => this.app.failed(error));
     await new Promise(done => setTimeout(done, DOUBLE));
     const double = this.clicks !== count;
     if (double && this.clicks !== count + 1) return;
     // The second click of a double one has waited as well: only the first goes on, as a pivot.
     if (!double && this.doubled === count - 1) return;
     if (double) this.doubled = count;
-    const picked = await this.app.run.pick({ ...this.full(), at }).catch(error => this.app.failed(error));
+    const picked = await picking;
     if (!picked) return;
     if (double) {
       this.pivot = picked.point;
@@ -261,9 +296,11 @@ export class ScenePane {
     });
   }
 
-  redraw() {
+  /** @param {boolean} [changed] whether the state has changed */
+  redraw(changed = false) {
     if (!this.app.description || !this.app.shows("scene")) return;
     this.dirty = true;
+    this.fresh ||= changed;
     this.drawCameras();
     if (!this.busy) this.loop();
   }
@@ -277,14 +314,17 @@ export class ScenePane {
       // A pane that was hidden meanwhile has no size.
       while ((this.dirty || !whole) && space.clientWidth > LEAST && space.clientHeight > LEAST) {
         this.dirty = false;
-        whole = performance.now() - this.moved > REST;
-        const began = performance.now(), here = this.drawer === "browser";
+        const began = performance.now(), here = this.drawer === "browser", still = began - this.moved > REST;
+        const first = still && this.fresh && !here && this.app.times.whole > LATE;
+        whole = still && !first;
+        this.fresh = false;
         await (here ? this.drawHere(whole) : this.drawThere(whole));
         // The browser's splats lie over the frame, which is their background then.
         of("splats").hidden = !here;
         this.app.times.frame = performance.now() - began;
+        if (whole) this.app.times.whole = this.app.times.frame;
         of("frame-time").textContent = text("frame_time", Math.round(this.app.times.frame));
-        if (!whole && !this.dirty) await new Promise(done => setTimeout(done, REST));
+        if (!whole && !first && !this.dirty) await new Promise(done => setTimeout(done, REST));
       }
       this.app.ready("scene");
     } catch (error) {
