@@ -309,6 +309,9 @@ pub struct LabelMap {
     pub revision: u64,
 }
 
+/// The number that stands for the answer where that of an object is wanted.
+pub const ANSWER_OBJECT: ObjectId = 0;
+
 /// The label of what the answer selects.
 pub const ANSWER_LABEL: u8 = 255;
 

@@ -2,8 +2,8 @@
 
 use crate::{Replay, RunError, TextRanking};
 use segwild_flow::{Observer, Phase, Receiver, Stopper};
-use segwild_scene::Scene;
-use segwild_segmenter::{Alternative, AnswerStep, SegmentError, SegmentReply, Segmented};
+use segwild_scene::{Mask, Scene};
+use segwild_segmenter::{Alternative, AnswerStep, PhotoVisit, SegmentError, SegmentReply, Segmented};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -30,6 +30,22 @@ pub struct Answer {
     pub segmented: Box<Segmented>,
     /// Seconds from the prompts to the answer.
     pub select_s: f64,
+}
+
+/// Bytes of a splat in a selection: label, score, similarity, evidence, whether it is frozen.
+const SPLAT_BYTES: usize = 22;
+
+impl Answer {
+    /// About how many bytes it takes in memory.
+    pub fn bytes(&self) -> usize {
+        let Segmented { selection, cut, masks, .. } = &*self.segmented;
+        let of_mask = |mask: &Mask| mask.width() as usize * mask.height() as usize / 8;
+        let of_visit = |visit: &PhotoVisit| visit.visibility.len() + visit.own_mask().map_or(0, of_mask);
+        SPLAT_BYTES * selection.labels.len()
+            + selection.visits.iter().map(of_visit).sum::<usize>()
+            + masks.iter().map(|(_, mask)| of_mask(&mask.mask)).sum::<usize>()
+            + std::mem::size_of_val(cut.changed.as_slice())
+    }
 }
 
 /// How long the supervisor may take to note why an actor gave no answer.

@@ -22,7 +22,7 @@ use segwild_objective::Engine;
 use segwild_scene::{PhotoStore, Prompts, ReaderError, Scene, Splats};
 use segwild_segmenter::scene_tree::{GroupCandidate, SceneTree};
 use segwild_segmenter::{
-    PosedView, SceneAffinities, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask,
+    NeighbourGraph, PosedView, SceneAffinities, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask,
     SplatFeatures, ViewSplats,
 };
 use segwild_trainer::Model;
@@ -38,13 +38,17 @@ pub struct SessionOptions {
     pub code: Code,
     /// Whether clicks are answered from the scene tree. It is read from the run's cache, or grown.
     pub tree: bool,
+    /// Neighbours of a splat in the graph that clicks need ([`SegmentSettings::neighbours`]), for a session that has many: it is made
+    /// while the session opens. `None`: by the first click.
+    pub neighbours: Option<usize>,
     /// Ends the growing of the tree.
     pub stopper: Stopper,
 }
 
 impl Default for SessionOptions {
     fn default() -> Self {
-        SessionOptions { providers: None, code: Code::given(&[]), tree: true, stopper: Stopper::new() }
+        let (code, stopper) = (Code::given(&[]), Stopper::new());
+        SessionOptions { providers: None, code, tree: true, neighbours: None, stopper }
     }
 }
 
@@ -114,7 +118,7 @@ impl Session {
         options: SessionOptions,
     ) -> Result<Session, RunError> {
         let Loaded { settings: made_with, scene, model, field } = loaded;
-        let SessionOptions { providers, code, tree, stopper } = options;
+        let SessionOptions { providers, code, tree, neighbours, stopper } = options;
         let providers = match providers {
             Some(providers) => providers,
             None => providers_for(folder, &code)?,
@@ -179,8 +183,8 @@ impl Session {
                 transients: transients.clone(),
                 segmenter: segmenter.clone(),
                 tree: tree_of_actor.clone(),
-                graph: None,
                 affinities: SceneAffinities::default(),
+                graph: neighbours.map(|neighbours| NeighbourGraph::new(&splats_of_actor, neighbours)),
                 shown: ViewSplats::new(splats_of_actor.len(), views.len()),
             })
         })?;

@@ -14,6 +14,7 @@ use segwild_scene::{
     BoxPrompt, Camera, Export, Image, Mask, PointPrompt, Pose, Prompts, SceneError, SplatFormat, Splats,
 };
 use segwild_trainer::{Model, SceneLighting, render_lit};
+use std::sync::Arc;
 
 /// Numbers per splat that a highlight blends: colour times share, and share.
 const HIGHLIGHT_CHANNELS: usize = 4;
@@ -43,18 +44,54 @@ pub struct ShownParts<'a> {
 
 /// A scene as it is shown: made once, rendered from many cameras.
 pub struct ShownScene {
-    model: Model,
-    lighting: SceneLighting,
-    alone: bool,
-    /// `[splat][red, green, blue, share]`; empty where nothing is highlighted.
+    base: Arc<PlainScene>,
+    /// `[splat][red, green, blue, share]` of the splats that are shown; empty where nothing is highlighted.
     highlight: Vec<f32>,
 }
 
+/// A scene as it is shown, without highlights.
+struct PlainScene {
+    model: Model,
+    lighting: SceneLighting,
+    alone: bool,
+    /// Splats of the whole scene.
+    splats: usize,
+    /// Indices of those that are shown; `None` where all are.
+    shown: Option<Vec<usize>>,
+}
+
+impl PlainScene {
+    /// The highlights of the splats that are shown.
+    fn highlight(&self, highlights: &[(&[bool], [f32; 3])]) -> Vec<f32> {
+        if highlights.is_empty() {
+            return Vec::new();
+        }
+        let mut rows = vec![0.0; self.splats * HIGHLIGHT_CHANNELS];
+        for (labels, [red, green, blue]) in highlights {
+            let labelled = rows.chunks_exact_mut(HIGHLIGHT_CHANNELS).zip(*labels);
+            labelled
+                .filter(|(_, label)| **label)
+                .for_each(|(row, _)| row.copy_from_slice(&[*red, *green, *blue, 1.0]));
+        }
+        let row = |&i: &usize| &rows[i * HIGHLIGHT_CHANNELS..][..HIGHLIGHT_CHANNELS];
+        match &self.shown {
+            Some(shown) => shown.iter().flat_map(row).copied().collect(),
+            None => rows,
+        }
+    }
+}
+
 impl ShownScene {
-    /// Bytes that it takes in memory.
+    /// Bytes that it takes in memory, together with those that differ in their highlights alone.
     pub fn bytes(&self) -> usize {
-        let splats = &self.model.splats;
-        4 * (splats.len() * 11 + splats.sh.len() + self.model.splat_embeddings.len() + self.highlight.len())
+        let PlainScene { model, .. } = &*self.base;
+        let splats = &model.splats;
+        4 * (splats.len() * 11 + splats.sh.len() + model.splat_embeddings.len() + self.highlight.len())
+    }
+
+    /// The same with other highlights ([`ShownParts::highlights`]).
+    pub fn highlighted(&self, highlights: &[(&[bool], [f32; 3])]) -> ShownScene {
+        ShownScene { base: self.base.clone(), highlight: self.base.highlight(highlights) }
     }
 }
 
@@ -183,31 +220,24 @@ impl Session {
             model.splats = cut.cut_scene(&model.splats).into();
         }
         let n = model.splats.len();
-        let mut highlight = vec![0.0; if parts.highlights.is_empty() { 0 } else { n * HIGHLIGHT_CHANNELS }];
-        for (labels, [red, green, blue]) in &parts.highlights {
-            let rows = highlight.chunks_exact_mut(HIGHLIGHT_CHANNELS).zip(*labels);
-            rows.filter(|(_, label)| **label)
-                .for_each(|(row, _)| row.copy_from_slice(&[*red, *green, *blue, 1.0]));
-        }
         let mut labels: Vec<Vec<bool>> =
             parts.appearances.iter().map(|(labels, _)| labels.to_vec()).collect();
+        let mut shown = None;
         if !parts.hidden.is_empty() {
             let keep: Vec<usize> = (0..n).filter(|&i| !parts.hidden[i]).collect();
             model.select(&keep);
             for labels in &mut labels {
                 *labels = keep.iter().map(|&i| labels[i]).collect();
             }
-            if !highlight.is_empty() {
-                let row = |&i: &usize| &highlight[i * HIGHLIGHT_CHANNELS..][..HIGHLIGHT_CHANNELS];
-                highlight = keep.iter().flat_map(row).copied().collect();
-            }
+            shown = Some(keep);
         }
         let scene = parts.appearance.light(&self.scene, &model)?;
         let of_objects = labels.into_iter().zip(&parts.appearances);
         let objects = of_objects.map(|(labels, (_, of))| Ok((labels, of.light(&self.scene, &model)?)));
         let objects = objects.collect::<Result<_, RunError>>()?;
         let lighting = SceneLighting { scene, objects };
-        Ok(ShownScene { model, lighting, alone: parts.alone, highlight })
+        let base = Arc::new(PlainScene { model, lighting, alone: parts.alone, splats: n, shown });
+        Ok(ShownScene { highlight: base.highlight(&parts.highlights), base })
     }
 
     /// Renders a scene as it is shown; sRGB in [0, 1].
@@ -215,7 +245,8 @@ impl Session {
     /// # Errors
     /// When the engine fails.
     pub fn render(&self, shown: &ShownScene, camera: &Camera, pose: &Pose) -> Result<Image, RunError> {
-        let ShownScene { model, lighting, alone, highlight } = shown;
+        let ShownScene { base, highlight } = shown;
+        let PlainScene { model, lighting, alone, .. } = &**base;
         let mut image = render_lit(model, &*self.engine, camera, pose, lighting)?;
         if !alone && highlight.is_empty() {
             return Ok(image);
@@ -242,9 +273,9 @@ impl Session {
 
     /// What stands behind all splats of a scene as it is shown; sRGB in [0, 1].
     pub fn background(&self, shown: &ShownScene, camera: &Camera, pose: &Pose) -> Image {
-        match shown.alone {
+        match shown.base.alone {
             true => Image::filled(camera.width as usize, camera.height as usize, 3, 1.0),
-            false => shown.lighting.scene.background().paint(camera, pose),
+            false => shown.base.lighting.scene.background().paint(camera, pose),
         }
     }
 

@@ -3,6 +3,7 @@
 use super::state::{LOST, Studio, StudioError, StudioState};
 use crate::document::{JournalEntry, ObjectDraft, ObjectId, Operation, StoredSelection};
 use crate::messages::{ShownPrompts, StudioAction};
+use segwild_flow::lock;
 use segwild_pipeline::{BlendedAppearance, PhotoPrompts, Selected, TextRanking};
 use segwild_segmenter::NeighbourGraph;
 use std::sync::Arc;
@@ -67,6 +68,9 @@ impl Studio {
                 let wanted = name.unwrap_or_else(|| self.name_for(&draft, objects.next_id()));
                 let (id, name) = (draft.of.unwrap_or(objects.next_id()), objects.free_name(&wanted));
                 let selection = state.store.put((*selected).clone())?;
+                if let Some(answer) = &state.answer.done {
+                    lock(&self.kept).add(answer.clone());
+                }
                 Operation::Keep { id, name, draft, selection }
             }
             StudioAction::Rename { id, name } => Operation::Rename { id, name },

@@ -126,7 +126,7 @@ fn answer(studio: &Weak<Studio>, number: u64, replay: &Replay, stopper: &Stopper
     });
     match result {
         Ok(done) => {
-            let selected = Arc::new(Session::selected(&done));
+            let (selected, done) = (Arc::new(Session::selected(&done)), Arc::new(done));
             let sure = &done.segmented.confidence;
             let sure = studio.upgrade().map(|s| ConfidenceMessage::of(sure, |name| s.photo_named(name)));
             show(&|answer| {
@@ -137,6 +137,7 @@ fn answer(studio: &Weak<Studio>, number: u64, replay: &Replay, stopper: &Stopper
                 let matches = done.ranking.iter().flat_map(|ranking| &ranking.matches);
                 answer.message.scores = matches.map(|found| found.score).collect();
                 answer.selected = Some(selected.clone());
+                answer.done = Some(done.clone());
             });
         }
         Err(RunError::Interrupted) => {}

@@ -2,7 +2,7 @@
 
 use super::state::{LOST, Studio, StudioError, mark};
 use crate::document::ObjectId;
-use segwild_flow::{FileError, Stopper};
+use segwild_flow::{FileError, Stopper, lock};
 use segwild_pipeline::{ObjectList, Selected};
 use segwild_scene::SplatFormat;
 use std::sync::Arc;
@@ -66,7 +66,8 @@ impl Studio {
     /// # Errors
     /// When tools made or changed the object, or a file cannot be written.
     pub fn save(&self, id: ObjectId) -> Result<String, StudioError> {
-        let object = self.state().document.objects().get(id)?.clone();
+        let mut state = self.state();
+        let object = state.document.objects().get(id)?.clone();
         if object.draft.is_empty() || object.edited {
             return Err(StudioError::Request(
                 "a tool made or changed this object: its splats can be exported, but a selection of the run is made by prompts alone",
@@ -74,8 +75,16 @@ impl Studio {
         }
         let name = file_stem(&object.name);
         let replay = self.replay(&object.draft);
-        let answer =
-            self.session.ask(&replay, &self.settings_of(&replay), &Stopper::new())?.wait(|_, _| ())?;
+        let selected = state.store.get(&object.selection);
+        drop(state);
+        let known = selected.and_then(|selected| lock(&self.kept).find(&replay, &selected));
+        let answer = match known {
+            Some(answer) => answer,
+            None => {
+                let pending = self.session.ask(&replay, &self.settings_of(&replay), &Stopper::new())?;
+                Arc::new(pending.wait(|_, _| ())?)
+            }
+        };
         let selection = name.as_str();
         self.session.save(selection, &answer)?;
         Ok(name)

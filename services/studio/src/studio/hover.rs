@@ -7,6 +7,7 @@ use crate::messages::{ANSWER_LABEL, HoverRequest, LabelMap};
 use segwild_flow::lock;
 use segwild_scene::{Mask, PointPrompt, Prompts};
 use segwild_segmenter::scene_tree::NONE;
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
@@ -49,6 +50,7 @@ impl Studio {
         if let Some(mask) = self.mask_in_time(photo, prompts) {
             return Ok(Some(label_map(&mask, 0)));
         }
+        self.prepare(photo);
         let front = self.fronts.of(&self.session, photo)?;
         let leaf =
             front.at(share[0], share[1]).map(|splat| tree.leaf[splat as usize]).filter(|leaf| *leaf != NONE);
@@ -62,6 +64,18 @@ impl Studio {
         let labels = tree.labels(first);
         let runs = front.runs(|splat| if labels[splat as usize] { ANSWER_LABEL } else { 0 });
         Ok(Some(LabelMap { width: front.width, height: front.height, runs, revision: 0 }))
+    }
+
+    /// Lets a provider that finds no objects by itself analyse the photo under the pointer: a click in it needs that. The answer is
+    /// the same without.
+    fn prepare(self: &Arc<Self>, photo: usize) {
+        if self.session.finds_objects() || self.prepared.swap(photo, Ordering::Relaxed) == photo {
+            return;
+        }
+        let studio = self.clone();
+        let work = move || studio.session.prepare(photo);
+        // Without a thread the click does it.
+        let _ = std::thread::Builder::new().name("studio prepare".into()).spawn(work);
     }
 
     /// The mask of a provider that finds objects, if it is there in time. A photo that the provider has not encoded yet is encoded for

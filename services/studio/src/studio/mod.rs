@@ -5,6 +5,7 @@ mod answer;
 mod changes;
 mod export;
 mod hover;
+mod kept;
 mod show;
 mod state;
 mod transients;
@@ -25,7 +26,8 @@ use segwild_pipeline::{
     Code, ObjectList, RunFolder, Session, SessionOptions, TrainingSnapshot, list_objects,
 };
 use segwild_scene::statistics::upper_median;
-use state::{GrowingAnswer, StudioState};
+use state::{GrowingAnswer, NO_PHOTO, StudioState};
+use std::sync::atomic::AtomicUsize;
 use std::sync::{Arc, Mutex, OnceLock};
 use tokio::sync::watch;
 
@@ -51,8 +53,11 @@ impl Studio {
         code: &Code,
         stopper: &Stopper,
     ) -> Result<Arc<Studio>, StudioError> {
-        let code = code.clone();
-        let options = SessionOptions { code, stopper: stopper.clone(), ..SessionOptions::default() };
+        let (code, settings) = (code.clone(), folder.settings()?.segment);
+        // Snapshots are replaced by the next one, most of them without a click.
+        let neighbours = snapshot.is_none().then_some(settings.neighbours);
+        let options =
+            SessionOptions { code, neighbours, stopper: stopper.clone(), ..SessionOptions::default() };
         let session = match snapshot {
             Some(snapshot) => Session::open_snapshot(folder, snapshot, options)?,
             None => Session::open(folder, options)?,
@@ -76,7 +81,6 @@ impl Studio {
                 opened.skipped
             ));
         }
-        let settings = folder.settings()?.segment;
         let state = StudioState {
             document: opened.document,
             journal: opened.journal,
@@ -96,7 +100,9 @@ impl Studio {
             fronts: FrontMaps::default(),
             graph: OnceLock::new(),
             shown: Mutex::new(Vec::new()),
+            kept: Mutex::default(),
             turns: Mutex::default(),
+            prepared: AtomicUsize::new(NO_PHOTO),
         });
         studio.recover(opened.earlier);
         studio.ask_again();
@@ -117,7 +123,7 @@ impl Studio {
     pub fn bytes(&self) -> usize {
         let shown = lock(&self.shown);
         let shown: usize = shown.iter().map(|cached| cached.scene.bytes()).sum();
-        self.session.bytes() + self.fronts.bytes() + shown
+        self.session.bytes() + self.fronts.bytes() + shown + lock(&self.kept).bytes()
     }
 
     /// The step of the training that the scene is of; `None` where the training is over.
@@ -216,6 +222,10 @@ impl Studio {
         next.enter(&entry)?;
         self.write_transients(state, &next)?;
         state.journal.append(&entry)?;
+        if next.objects().transients != state.document.objects().transients {
+            // Answers leave transients out.
+            lock(&self.kept).clear();
+        }
         let draft_changed = next.objects().draft != state.document.objects().draft;
         state.document = next;
         if draft_changed {

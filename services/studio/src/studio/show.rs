@@ -1,9 +1,11 @@
 //! What viewers see: masks, photos, renders.
 
 use super::state::{ANSWER_COLOUR, COLOURS, CachedScene, Studio, StudioError, mark};
-use crate::document::{KeptObject, ObjectId};
+use crate::document::{DocumentError, KeptObject, ObjectId};
 use crate::fronts::FrontMap;
-use crate::messages::{ANSWER_LABEL, FrameRequest, HIDDEN_LABEL, LabelMap, PickRequest, PickedPixel};
+use crate::messages::{
+    ANSWER_LABEL, ANSWER_OBJECT, FrameRequest, HIDDEN_LABEL, LabelMap, PickRequest, PickedPixel,
+};
 use segwild_flow::lock;
 use segwild_pipeline::{BlendedAppearance, PackedSplats, ShownParts, ShownScene};
 use segwild_scene::{Camera, Image, Mask, NEAR, View};
@@ -57,12 +59,16 @@ impl Studio {
         (labels, state.revision)
     }
 
-    /// Pixels of each photo that show an object. Photos on which a person could not see it have few or none.
+    /// Pixels of each photo that show an object, or the answer ([`ANSWER_OBJECT`]). Photos on which a person could not see it have few
+    /// or none.
     ///
     /// # Errors
-    /// When there is no such object, or the scene cannot be rendered.
+    /// When there is no such object or no answer yet, or the scene cannot be rendered.
     pub fn photos_of(&self, id: ObjectId) -> Result<Vec<usize>, StudioError> {
-        let selected = self.selection_of(id)?;
+        let selected = match id {
+            ANSWER_OBJECT => self.state().answer.selected.clone().ok_or(DocumentError::NoObject(id))?,
+            id => self.selection_of(id)?,
+        };
         let count = |photo: usize| {
             let front = self.fronts.of(&self.session, photo)?;
             let inside = |splat: &&u32| selected.labels.get(**splat as usize).copied().unwrap_or(false);
@@ -124,6 +130,7 @@ impl Studio {
             alone: objects.isolated.is_some(),
             ..ShownParts::default()
         };
+        let mut named = format!("{:?} alone {}\n", parts.appearance, parts.alone);
         for (object, selected) in objects.all.iter().zip(&selected) {
             let Some(selected) = selected else { continue };
             let isolated = objects.isolated == Some(object.id);
@@ -133,7 +140,9 @@ impl Studio {
                 None if object.visible => None,
                 None => Some(true),
             };
+            let hash = &object.selection.hash;
             if let Some(hides) = hidden {
+                named += &format!("hidden {hides} {hash}\n");
                 if parts.hidden.is_empty() {
                     parts.hidden = vec![objects.isolated.is_some(); selected.labels.len()];
                 }
@@ -141,9 +150,11 @@ impl Studio {
                 inside.for_each(|(hidden, _)| *hidden = hides);
             }
             if objects.cuts(object) {
+                named += &format!("cut {hash}\n");
                 parts.cut.push(selected);
             }
             if let Some(own) = &object.appearance {
+                named += &format!("appearance {hash} {own:?}\n");
                 parts.appearances.push((&selected.labels, own));
             }
             if marks && object.visible && !isolated {
@@ -153,9 +164,14 @@ impl Studio {
         if let Some(answer) = answer.as_ref().filter(|_| marks) {
             parts.highlights.push((&answer.labels, unit(ANSWER_COLOUR)));
         }
-        let scene = Arc::new(self.session.show(&parts)?);
+        // Steps of an answer change the highlights alone: splats and colours stay as they are.
+        let known = cached.iter().find(|c| c.parts == named).map(|c| c.scene.highlighted(&parts.highlights));
+        let scene = Arc::new(match known {
+            Some(scene) => scene,
+            None => self.session.show(&parts)?,
+        });
         cached.retain(|c| c.revision == revision);
-        cached.push(CachedScene { revision, marks, appearance, scene: scene.clone() });
+        cached.push(CachedScene { revision, marks, appearance, parts: named, scene: scene.clone() });
         // One with marks, one without, and one of another appearance.
         if cached.len() > 3 {
             cached.remove(0);

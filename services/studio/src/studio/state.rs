@@ -1,14 +1,16 @@
 //! What a run's session holds for all viewers.
 
+use super::kept::KeptAnswers;
 use super::turns::ProviderTurns;
 use crate::document::{Document, DocumentError, Journal, JournalError};
 use crate::fronts::FrontMaps;
 use crate::messages::AnswerMessage;
 use crate::store::SelectionStore;
 use segwild_flow::{FileError, Stopper, lock};
-use segwild_pipeline::{ObjectList, RunError, Selected, Session, ShownScene};
+use segwild_pipeline::{Answer, ObjectList, RunError, Selected, Session, ShownScene};
 use segwild_scene::SceneError;
 use segwild_segmenter::{NeighbourGraph, SegmentSettings};
+use std::sync::atomic::AtomicUsize;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 use tokio::sync::watch;
 
@@ -76,15 +78,23 @@ pub struct Studio {
     pub(super) fronts: FrontMaps,
     pub(super) graph: OnceLock<NeighbourGraph>,
     pub(super) shown: Mutex<Vec<CachedScene>>,
+    pub(super) kept: Mutex<KeptAnswers>,
     /// The provider's turns to find what is under a pointer.
     pub(super) turns: Mutex<ProviderTurns>,
+    /// The photo that was prepared for a click last, or [`NO_PHOTO`].
+    pub(super) prepared: AtomicUsize,
 }
+
+/// Stands for no photo's index.
+pub(super) const NO_PHOTO: usize = usize::MAX;
 
 /// An answer that grows.
 #[derive(Default)]
 pub(super) struct GrowingAnswer {
     pub(super) message: AnswerMessage,
     pub(super) selected: Option<Arc<Selected>>,
+    /// The whole answer, once it is done.
+    pub(super) done: Option<Arc<Answer>>,
     pub(super) stopper: Option<Stopper>,
 }
 
@@ -93,6 +103,8 @@ pub(super) struct CachedScene {
     pub(super) revision: u64,
     pub(super) marks: bool,
     pub(super) appearance: Option<usize>,
+    /// Names all that is shown but the highlights.
+    pub(super) parts: String,
     pub(super) scene: Arc<ShownScene>,
 }
 

@@ -2,11 +2,11 @@
 
 use crate::common::{answered, click, keep, open, run, trained, until};
 use segwild_flow::Stopper;
-use segwild_pipeline::{PhotoPrompts, segment};
+use segwild_pipeline::{PhotoPrompts, ShownParts, ShownScene, segment};
 use segwild_scene::{Prompts, SplatFormat};
 use segwild_studio::messages::{
-    ANSWER_LABEL, FrameRequest, HIDDEN_LABEL, HoverRequest, PickRequest, ShownPrompts, StudioAction,
-    ViewMessage,
+    ANSWER_LABEL, ANSWER_OBJECT, FrameRequest, HIDDEN_LABEL, HoverRequest, PickRequest, ShownPrompts,
+    StudioAction, ViewMessage,
 };
 use segwild_studio::{Combination, Region, RegionRule, Studio, StudioError};
 use std::sync::Arc;
@@ -34,8 +34,11 @@ fn view(studio: &Studio, photo: usize) -> ViewMessage {
 fn an_object_of_the_page_is_that_of_the_command_line_byte_for_byte() {
     let (_dir, folder) = run();
     let studio = open(&folder);
-    keep(&studio, 0, "first").unwrap();
     let (photo, [x, y]) = trained().clicks[0].clone();
+    // What is prepared under the pointer changes no answer.
+    let at = studio.session().scene().view_named(&photo).unwrap();
+    assert!(studio.hover(&HoverRequest { photo: at, x, y, granularity: None }).unwrap().is_some());
+    keep(&studio, 0, "first").unwrap();
     let prompts = [PhotoPrompts { photo, prompts: Prompts::click(x, y) }];
     let settings = folder.settings().unwrap().segment;
     segment(&folder, "first", &prompts.as_slice().into(), &settings, None, &Stopper::new()).unwrap();
@@ -270,7 +273,12 @@ fn hidden_and_isolated_objects_show_in_frames_and_labels() {
     assert_eq!(studio.splat_labels().0.iter().filter(|label| **label == HIDDEN_LABEL).count(), inside);
     assert!(frame(false) != plain);
     studio.act(StudioAction::Show { id: 1, visible: true }).unwrap();
-    assert!(frame(false) == plain);
+    assert!(frame(false) == plain && frame(true) == marked);
+    // What does not change is taken over from the revision before.
+    studio.act(StudioAction::Rename { id: 1, name: "renamed".into() }).unwrap();
+    assert!(frame(true) == marked && frame(false) == plain);
+    studio.act(StudioAction::Colour { id: 1, colour: 3 }).unwrap();
+    assert!(frame(true) != marked && frame(false) == plain);
     studio.act(StudioAction::Isolate { id: Some(1) }).unwrap();
     assert_eq!(
         studio.splat_labels().0.iter().filter(|label| **label == HIDDEN_LABEL).count(),
@@ -280,6 +288,32 @@ fn hidden_and_isolated_objects_show_in_frames_and_labels() {
     let counts = studio.photos_of(1).unwrap();
     assert_eq!(counts.len(), studio.describe().photos.len());
     assert!(counts.iter().sum::<usize>() > 0);
+    // The answer's photos are those of the object that it becomes.
+    assert!(studio.photos_of(ANSWER_OBJECT).is_err());
+    studio.act(click(&studio, 0)).unwrap();
+    answered(&studio);
+    assert_eq!(studio.photos_of(ANSWER_OBJECT).unwrap(), counts);
+}
+
+#[test]
+fn other_highlights_of_a_shown_scene_render_as_if_it_were_made_with_them() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    let session = studio.session();
+    let (camera, pose) = view(&studio, 0).view().unwrap();
+    let n = session.model().splats.len();
+    let some = |divisor: usize| (0..n).map(|i| i % divisor == 0).collect::<Vec<bool>>();
+    let (red, green) = (some(2), some(5));
+    let highlights = [(red.as_slice(), [1.0, 0.0, 0.0]), (green.as_slice(), [0.0, 1.0, 0.0])];
+    for hidden in [Vec::new(), some(3)] {
+        let parts = ShownParts { hidden, ..ShownParts::default() };
+        let plain = session.show(&parts).unwrap();
+        let parts = ShownParts { highlights: highlights.to_vec(), ..parts };
+        let made = session.show(&parts).unwrap();
+        let render = |scene: &ShownScene| session.render(scene, &camera, &pose).unwrap();
+        assert!(render(&plain.highlighted(&highlights)) == render(&made));
+        assert!(render(&made.highlighted(&[])) == render(&plain) && render(&plain) != render(&made));
+    }
 }
 
 #[test]
@@ -412,6 +446,17 @@ fn all_objects_are_exported_as_labels_masks_and_selections_of_the_run() {
     let saved = std::fs::read(folder.selection("the_first").join("object.ply")).unwrap();
     assert!(saved == ply(&studio, 1));
     assert!(folder.selection("the_first").join("masks").is_dir());
+    // That was the answer that was kept. A second one, after a restart, writes the same to the byte.
+    let written = || {
+        let read = |file| std::fs::read(folder.selection("the_first").join(file)).unwrap();
+        ["object.ply", "selection.bin", "prompts.json"].map(read)
+    };
+    let of_kept = written();
+    std::fs::remove_dir_all(folder.selection("the_first")).unwrap();
+    drop(studio);
+    let studio = open(&folder);
+    assert_eq!(studio.save(1).unwrap(), "the_first");
+    assert!(written() == of_kept);
     studio.act(StudioAction::Grow { id: 2, steps: 1 }).unwrap();
     assert!(studio.save(2).is_err(), "no prompts make what a tool changed");
 }
