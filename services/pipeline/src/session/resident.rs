@@ -22,8 +22,8 @@ use segwild_objective::Engine;
 use segwild_scene::{PhotoStore, Prompts, ReaderError, Scene, Splats};
 use segwild_segmenter::scene_tree::{GroupCandidate, SceneTree};
 use segwild_segmenter::{
-    NeighbourGraph, PosedView, SceneAffinities, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask,
-    SplatFeatures, ViewSplats,
+    NeighbourGraph, PosedView, SceneAffinities, SegmentActor, SegmentError, SegmentReply, SegmentSettings,
+    SegmentTask, SplatFeatures, ViewSplats,
 };
 use segwild_trainer::Model;
 use segwild_vision::Providers;

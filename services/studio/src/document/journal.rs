@@ -97,6 +97,13 @@ impl Journal {
         let failed = |e| FileError::new("write", &self.path, e);
         let mut line = serde_json::to_vec(value).map_err(|e| failed(e.into()))?;
         line.push(b'\n');
+        let length = self.file.metadata().map_err(failed)?.len();
+        if length.saturating_add(line.len() as u64) > MOST_BYTES {
+            // A larger one would not be read again.
+            let why =
+                format!("it is full: a session has {} MiB at most, export its objects", MOST_BYTES >> 20);
+            return Err(failed(std::io::Error::new(std::io::ErrorKind::FileTooLarge, why)));
+        }
         self.file.write_all(&line).and_then(|()| self.file.sync_data()).map_err(failed)
     }
 }

@@ -20,8 +20,9 @@ import { TrainingPane } from "./training.js";
 const of = (/** @type {string} */ id) => /** @type {HTMLElement} */ (document.getElementById(id));
 /** What keys do where there is no run. */
 const WITHOUT_RUN = ["theme", "help"];
-/** Milliseconds between two tries of a scene that is not there yet. */
+/** Milliseconds between two tries of a scene that is not there yet: at most, and at first. */
 const AGAIN = 150;
+const SOON = 20;
 /** Milliseconds between two questions how far a training is. */
 const TRAINING = 2000;
 /** Milliseconds that a message stays. */
@@ -99,7 +100,7 @@ export class App {
     delete document.body.dataset.runs;
     location.hash = encodeURIComponent(name);
     const { run } = this;
-    let early = false;
+    let early = false, pause = SOON;
     for (;;) {
       try {
         this.description = await run.describe();
@@ -117,7 +118,9 @@ export class App {
             if (this.view === "status") this.setView("both");
           } else if (!there && !early && this.view !== "status") this.setView("status");
         }
-        await new Promise(done => setTimeout(done, state === "training" ? 10 * AGAIN : AGAIN));
+        const wait = state === "training" ? 10 * AGAIN : pause;
+        await new Promise(done => setTimeout(done, wait));
+        pause = Math.min(AGAIN, 2 * pause);
       }
     }
     this.say("");

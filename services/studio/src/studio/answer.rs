@@ -3,11 +3,14 @@
 use super::state::{GrowingAnswer, Studio, StudioError, StudioState};
 use crate::document::{Document, JournalEntry, KeptObject, ObjectDraft, ObjectId, Operation};
 use crate::messages::ConfidenceMessage;
-use segwild_flow::Stopper;
-use segwild_pipeline::{Replay, RunError, Selected, Session};
+use segwild_flow::{Phase, Stopper};
+use segwild_pipeline::{Answer, Replay, RunError, Selected, Session};
 use segwild_segmenter::SegmentSettings;
 use std::sync::{Arc, Weak};
-use std::time::Instant;
+use std::time::{Duration, Instant};
+
+/// Time between two checks whether a person still waits for an answer.
+const BUSY: Duration = Duration::from_millis(20);
 
 impl Studio {
     /// Cancels the answer that is being made, and starts the one to the present draft.
@@ -24,6 +27,7 @@ impl Studio {
         }
         let stopper = Stopper::new();
         let replay = self.replay(draft);
+        std::mem::replace(&mut state.aside, Stopper::new()).stop();
         state.answer.message.state = "working";
         state.answer.stopper = Some(stopper.clone());
         let studio = Arc::downgrade(self);
@@ -41,6 +45,29 @@ impl Studio {
             object: draft.listed.clone(),
             text: draft.text.clone(),
             settings: Some(settings),
+        }
+    }
+
+    /// The whole answer to a query beside the one that a person waits for. A click ends it, and it starts again after the click's
+    /// answer: queries are answered one after the other.
+    ///
+    /// # Errors
+    /// As [`Session::ask`] and [`segwild_pipeline::PendingAnswer::wait`].
+    pub(super) fn answer_aside(&self, replay: &Replay) -> Result<Answer, RunError> {
+        let settings = self.settings_of(replay);
+        loop {
+            let state = self.state();
+            let (busy, stopper) = (state.answer.message.state == "working", state.aside.clone());
+            drop(state);
+            if busy {
+                std::thread::park_timeout(BUSY);
+                continue;
+            }
+            let pending = self.session.ask(replay, &settings, &stopper);
+            match pending.and_then(|pending| pending.wait(|_, _| ())) {
+                Err(RunError::Interrupted) if stopper.phase() != Phase::Running => {}
+                answer => return answer,
+            }
         }
     }
 
@@ -158,8 +185,7 @@ fn recover_one(studio: &Weak<Studio>, object: &KeptObject, of: Option<ObjectId>)
         return lost("a tool selected it, and the scene was trained again since");
     }
     let replay = studio.replay(&object.draft);
-    let pending = studio.session.ask(&replay, &studio.settings_of(&replay), &Stopper::new());
-    let answer = match pending.and_then(|pending| pending.wait(|_, _| ())) {
+    let answer = match studio.answer_aside(&replay) {
         Ok(answer) => answer,
         Err(error) => return lost(&error.to_string()),
     };

@@ -80,10 +80,7 @@ impl Studio {
         let known = selected.and_then(|selected| lock(&self.kept).find(&replay, &selected));
         let answer = match known {
             Some(answer) => answer,
-            None => {
-                let pending = self.session.ask(&replay, &self.settings_of(&replay), &Stopper::new())?;
-                Arc::new(pending.wait(|_, _| ())?)
-            }
+            None => Arc::new(self.answer_aside(&replay)?),
         };
         let selection = name.as_str();
         self.session.save(selection, &answer)?;

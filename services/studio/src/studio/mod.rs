@@ -86,6 +86,7 @@ impl Studio {
             journal: opened.journal,
             store,
             answer: GrowingAnswer::default(),
+            aside: Stopper::new(),
             revision: 1,
             notes,
         };

@@ -61,6 +61,8 @@ pub(super) struct StudioState {
     pub(super) journal: Journal,
     pub(super) store: SelectionStore,
     pub(super) answer: GrowingAnswer,
+    /// Ends answers that nobody looks at, once a person asks for one.
+    pub(super) aside: Stopper,
     pub(super) revision: u64,
     pub(super) notes: Vec<String>,
 }

@@ -168,3 +168,16 @@ fn a_journal_of_another_training_is_put_aside_and_of_a_later_version_refused() {
     assert!(matches!(Journal::open(&path, "another"), Err(JournalError::Version { found: 99, .. })));
     assert!(path.is_file());
 }
+
+#[test]
+fn a_journal_that_is_full_refuses_what_could_not_be_read_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("session.jsonl");
+    let mut journal = Journal::open(&path, "scene").unwrap().journal;
+    // A hole in the file takes no space.
+    let most = 256 << 20;
+    std::fs::OpenOptions::new().write(true).open(&path).unwrap().set_len(most).unwrap();
+    let error = journal.append(&JournalEntry::Apply(paint(1))).unwrap_err();
+    assert!(error.to_string().contains("it is full"), "{error}");
+    assert_eq!(std::fs::metadata(&path).unwrap().len(), most);
+}

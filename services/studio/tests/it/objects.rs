@@ -455,8 +455,18 @@ fn all_objects_are_exported_as_labels_masks_and_selections_of_the_run() {
     std::fs::remove_dir_all(folder.selection("the_first")).unwrap();
     drop(studio);
     let studio = open(&folder);
-    assert_eq!(studio.save(1).unwrap(), "the_first");
+    // Clicks do not wait for it: they end it, and it starts again.
+    let saving = std::thread::spawn({
+        let studio = studio.clone();
+        move || studio.save(1).unwrap()
+    });
+    for object in [2, 0] {
+        studio.act(click(&studio, object)).unwrap();
+        assert_eq!(answered(&studio).answer.state, "done");
+    }
+    assert_eq!(saving.join().unwrap(), "the_first");
     assert!(written() == of_kept);
+    studio.act(StudioAction::Prompt { prompts: Vec::new(), alternative: 0 }).unwrap();
     studio.act(StudioAction::Grow { id: 2, steps: 1 }).unwrap();
     assert!(studio.save(2).is_err(), "no prompts make what a tool changed");
 }
