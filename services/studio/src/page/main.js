@@ -249,6 +249,7 @@ export class App {
     for (const button of of("tools").querySelectorAll("button")) {
       button.setAttribute("aria-pressed", String(button.dataset.tool === tool));
     }
+    of("rule").hidden = tool === "prompt" || tool === "sphere";
     this.photoPane.clearCandidate();
     if (tool !== "prompt" && this.item === null && !this.transients) this.say(text("region_new"));
   }
@@ -261,7 +262,7 @@ export class App {
       button.title = tool === "prompt" ? tip : text("tool_how", tip);
       of("tools").append(button);
     }
-    const rule = element("button", { type: "button", id: "rule", click: () => this.nextRule() }, text("rule_centre"));
+    const rule = element("button", { type: "button", id: "rule", title: text("rule_how"), click: () => this.nextRule() }, text("rule_centre"));
     of("tools").append(rule);
     this.setTool("prompt");
   }

@@ -93,6 +93,11 @@ export class Side {
       if (!busy) parts.push(element("p", { className: "quiet" }, text("done_how")));
       if (answer.confidence) parts.push(element("p", { className: "quiet", id: "sure" }, this.sure(answer.confidence)));
     }
+    if (answer.state !== "none") {
+      const keep = button(text("keep"), text("keep"), () => app.do("keep"), { id: "keep", className: "main", disabled: !answer.splats });
+      const drop = button(text("drop"), text("drop"), () => app.do("drop"), { id: "drop" });
+      parts.push(element("p", { className: "row" }, keep, drop));
+    }
     const level = /** @type {HTMLInputElement} */ (element("input", {
       type: "range", min: "0", max: String(LEVELS.length - 1), step: "1", value: String(LEVELS.indexOf(app.level)), id: "level",
       "aria-label": text("level"), "aria-valuetext": app.level === null ? text("level_auto") : String(app.level),
@@ -107,11 +112,6 @@ export class Side {
         return button(shown, shown, () => app.alternative(k), { "aria-pressed": k === draft.alternative });
       });
       parts.push(element("p", { className: "quiet" }, text("alternatives")), element("div", { className: "row" }, ...chips));
-    }
-    if (answer.state !== "none") {
-      const keep = button(text("keep"), text("keep"), () => app.do("keep"), { id: "keep", className: "main", disabled: !answer.splats });
-      const drop = button(text("drop"), text("drop"), () => app.do("drop"), { id: "drop" });
-      parts.push(element("p", { className: "row" }, keep, drop));
     }
     of("answer").replaceChildren(...parts);
   }

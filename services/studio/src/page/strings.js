@@ -40,6 +40,7 @@ export const strings = {
   curves_pane: "Curves of the training", curve_loss: "Loss", curve_psnr: "PSNR", curve_of: "{0}: from {1} to {2}, steps {3} to {4}",
   trained_to: "The scene after {0} steps of its training. {1}", training_pane: "Training",
   keys: "Keys and mouse", close: "Close", region_new: "A new object is made of what is marked; select an object to change it.",
+  rule_how: "What a tool takes: splats with their centres inside, of those the visible ones only (N), or those whose footprints are inside (M)",
   rule_centre: "centres", rule_visible: "visible only", rule_footprint: "footprint",
   status_stage: "Stage", status_state: "State", status_done: "Done", status_waits: "Waits for, or why it failed", status_rate: "Rate",
   status_time: "Time", status_actor: "Actor", status_busy: "Busy", status_messages: "Messages", status_retries: "Retries",
