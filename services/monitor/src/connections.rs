@@ -59,8 +59,8 @@ pub const HEAD_TIME: Duration = Duration::from_secs(5);
 pub const HEAD_BYTES: usize = 16 << 10;
 /// A request's body must be there after this time: a mebibyte over a slow line takes as long.
 const BODY_TIME: Duration = Duration::from_secs(20);
-/// A client whose connection takes no bytes for so long is dropped, also one that follows events. By HTTP/2 an answer of which its
-/// client takes nothing for so long is given up as well, whatever it reads of others.
+/// A client whose connection takes no bytes for so long is dropped, also one that follows events. By HTTP/2 an answer
+/// of which its client takes nothing for so long is given up as well, whatever it reads of others.
 const WRITE_TIME: Duration = Duration::from_secs(30);
 /// A connection by HTTP/2 without a request ends after this time; clients connect again by themselves. One by HTTP/1 has
 /// [`HEAD_TIME`] for its next request.

@@ -16,8 +16,9 @@ use tokio::time::Sleep;
 
 type BoxError = Box<dyn std::error::Error + Send + Sync>;
 
-/// A stream that fails once nothing could be written for a time: its client does not read. By HTTP/2 a client that takes nothing of
-/// one answer may read the rest of its connection, which is no failure of the stream: [`AnswerExecutor`] ends such an answer.
+/// A stream that fails once nothing could be written for a time: its client does not read. By HTTP/2 a client that
+/// takes nothing of one answer may read the rest of its connection, which is no failure of the stream:
+/// [`AnswerExecutor`] ends such an answer.
 pub(crate) struct TimedStream<S> {
     stream: S,
     time: Duration,
@@ -148,8 +149,8 @@ tokio::task_local! {
     static WAITING: Arc<WaitingPart>;
 }
 
-/// Runs the answers of a connection by HTTP/2, each in a task of its own. An answer of which its client takes nothing for a time
-/// is given up, and its stream is reset; the other answers of the connection go on.
+/// Runs the answers of a connection by HTTP/2, each in a task of its own. An answer of which its client takes nothing
+/// for a time is given up, and its stream is reset; the other answers of the connection go on.
 #[derive(Clone, Debug)]
 pub(crate) struct AnswerExecutor {
     time: Duration,
@@ -195,8 +196,9 @@ async fn not_taken(mut waiting: watch::Receiver<bool>, time: Duration) {
     }
 }
 
-/// An answer's body, whose request is open until all of it is sent: a stream of events as long as somebody follows it. It comes in
-/// parts of [`MOST_PART`] bytes at most, so that an answer waits here and not in the connection's memory.
+/// An answer's body, whose request is open until all of it is sent: a stream of events as long as somebody follows
+/// it. It comes in parts of [`MOST_PART`] bytes at most, so that an answer waits here and not in the connection's
+/// memory.
 pub(crate) struct CountedBody {
     body: axum::body::Body,
     /// What came of the body and is not handed on yet.

@@ -7,8 +7,8 @@ use std::net::{IpAddr, Ipv6Addr};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
-/// What a request takes of its client's bucket. A candidate under the pointer is 1, which is 10 to 20 ms of a processor;
-/// so is what costs less, such as a file of the page.
+/// What a request takes of its client's bucket. A candidate under the pointer is 1, which is 10 to 20 ms of a
+/// processor; so is what costs less, such as a file of the page.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct RequestCost(f64);
 
@@ -19,7 +19,8 @@ impl RequestCost {
     const PHOTO: RequestCost = RequestCost(2.0);
     /// Of a render.
     const RENDER: RequestCost = RequestCost(4.0);
-    /// Of a click, which all photos answer unless the next click cancels it; of other actions; of renders into all photos.
+    /// Of a click, which all photos answer unless the next click cancels it; of other actions; of renders into all
+    /// photos.
     const ACTION: RequestCost = RequestCost(20.0);
     /// Of a file with splats or masks, and of a training.
     const EXPORT: RequestCost = RequestCost(100.0);
@@ -36,8 +37,8 @@ impl RequestCost {
     }
 }
 
-/// What a page takes in a second at most: a candidate and a render per frame of the fastest displays while a pointer moves,
-/// each only once the one before is there.
+/// What a page takes in a second at most: a candidate and a render per frame of the fastest displays while a pointer
+/// moves, each only once the one before is there.
 const PER_PAGE: f64 = 240.0 * (RequestCost::LEAST.0 + RequestCost::RENDER.0);
 
 /// Pages of one address that do so at a time.

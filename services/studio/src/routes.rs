@@ -111,7 +111,8 @@ impl ApiMethod {
     }
 }
 
-/// The call of `session.proto` that a request of this path makes; `None` for files of the page and for what is not there.
+/// The call of `session.proto` that a request of this path makes; `None` for files of the page and for what is not
+/// there.
 pub(crate) fn call_of(path: &str) -> Option<&'static str> {
     let path = path.strip_prefix(ROOT)?;
     let fits = |route: &&ApiRoute| {

@@ -38,8 +38,8 @@ pub struct SessionOptions {
     pub code: Code,
     /// Whether clicks are answered from the scene tree. It is read from the run's cache, or grown.
     pub tree: bool,
-    /// Neighbours of a splat in the graph that clicks need ([`SegmentSettings::neighbours`]), for a session that has many: it is made
-    /// while the session opens. `None`: by the first click.
+    /// Neighbours of a splat in the graph that clicks need ([`SegmentSettings::neighbours`]), for a session that has
+    /// many: it is made while the session opens. `None`: by the first click.
     pub neighbours: Option<usize>,
     /// Ends the growing of the tree.
     pub stopper: Stopper,

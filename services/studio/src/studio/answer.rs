@@ -48,8 +48,8 @@ impl Studio {
         }
     }
 
-    /// The whole answer to a query beside the one that a person waits for. A click ends it, and it starts again after the click's
-    /// answer: queries are answered one after the other.
+    /// The whole answer to a query beside the one that a person waits for. A click ends it, and it starts again after
+    /// the click's answer: queries are answered one after the other.
     ///
     /// # Errors
     /// As [`Session::ask`] and [`segwild_pipeline::PendingAnswer::wait`].

@@ -66,8 +66,8 @@ impl Studio {
         Ok(Some(LabelMap { width: front.width, height: front.height, runs, revision: 0 }))
     }
 
-    /// Lets a provider that finds no objects by itself analyse the photo under the pointer: a click in it needs that. The answer is
-    /// the same without.
+    /// Lets a provider that finds no objects by itself analyse the photo under the pointer: a click in it needs that.
+    /// The answer is the same without.
     fn prepare(self: &Arc<Self>, photo: usize) {
         if self.session.finds_objects() || self.prepared.swap(photo, Ordering::Relaxed) == photo {
             return;

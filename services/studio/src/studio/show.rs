@@ -59,8 +59,8 @@ impl Studio {
         (labels, state.revision)
     }
 
-    /// Pixels of each photo that show an object, or the answer ([`ANSWER_OBJECT`]). Photos on which a person could not see it have few
-    /// or none.
+    /// Pixels of each photo that show an object, or the answer ([`ANSWER_OBJECT`]). Photos on which a person could
+    /// not see it have few or none.
     ///
     /// # Errors
     /// When there is no such object or no answer yet, or the scene cannot be rendered.
