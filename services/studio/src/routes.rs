@@ -97,6 +97,7 @@ pub(crate) const API: &[ApiRoute] = &[
     row(Get, "/runs/{run}/objects/{object}/ply", &[], "ObjectFile", File(OCTETS), |m| object_file(m, SplatFormat::Ply)),
     row(Get, "/runs/{run}/objects/{object}/spz", &[], "ObjectFile", File(OCTETS), |m| object_file(m, SplatFormat::Spz)),
     row(Get, "/runs/{run}/objects/{object}/glb", &[], "ObjectFile", File(OCTETS), |m| object_file(m, SplatFormat::Glb)),
+    row(Get, "/runs/{run}/objects/{object}/prompts", &[], "ObjectPrompts", File(OCTETS), |m| on(m, prompts)),
     row(Post, "/runs/{run}/objects/{object}/save", &[], "Save", Message, |m| on(m, save)),
     row(Get, "/runs/{run}/export/labels.ply", &[], "LabelledPly", File(OCTETS), |m| on(m, labelled_ply)),
     row(Get, "/runs/{run}/export/coco.json", &[], "Coco", File(OCTETS), |m| on(m, coco)),
@@ -321,6 +322,15 @@ async fn save(State(runs): State<Runs>, Path((run, object)): Path<(String, Strin
     let object = number(&object)?;
     let name = answered(&runs, &run, move |studio| studio.save(object)).await?;
     Ok(Json(serde_json::json!({ "selection": name })).into_response())
+}
+
+async fn prompts(
+    State(runs): State<Runs>,
+    Path((run, object)): Path<(String, String)>,
+) -> Answered<Response> {
+    let object = number(&object)?;
+    let (name, text) = answered(&runs, &run, move |studio| studio.prompts_file(object)).await?;
+    Ok(attached(&name, text))
 }
 
 /// A file to be saved.

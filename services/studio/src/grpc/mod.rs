@@ -96,6 +96,7 @@ impl Session for SessionService {
     type SheetStream = Replies<v1::FilePart>;
     type PhotoStream = Replies<v1::FilePart>;
     type ObjectFileStream = Replies<v1::FilePart>;
+    type ObjectPromptsStream = Replies<v1::FilePart>;
     type LabelledPlyStream = Replies<v1::FilePart>;
     type CocoStream = Replies<v1::FilePart>;
 
@@ -232,6 +233,13 @@ impl Session for SessionService {
         let made = answered(&self.runs, &request.run, move |studio| studio.object_file(object, format));
         let (name, bytes) = made.await?;
         parts(bytes, OCTETS, &name, String::new())
+    }
+
+    async fn object_prompts(&self, request: Request<v1::ObjectRequest>) -> Reply<Self::ObjectPromptsStream> {
+        let v1::ObjectRequest { run, object } = request.into_inner();
+        let made = answered(&self.runs, &run, move |studio| studio.prompts_file(object));
+        let (name, text) = made.await?;
+        parts(text, OCTETS, &name, String::new())
     }
 
     async fn save(&self, request: Request<v1::ObjectRequest>) -> Reply<v1::SaveResponse> {

@@ -163,13 +163,14 @@ export class Side {
       small(item.visible ? "hide" : "show", () => act("show", { visible: !item.visible })),
       small("alone", () => act("isolate", { id: state?.isolated === item.id ? null : item.id }), { label: "isolate", "aria-pressed": state?.isolated === item.id }));
     tools.append(element("span", { className: "quiet" }, text("save_as")));
-    for (const format of selected ? ["ply", "spz", "glb"] : ["ply"]) {
-      const label = text("export_file", item.name, format);
-      const link = element("a", { href: app.run.file(item.id, format), download: "", title: label },
-        element("button", { type: "button", tabIndex: -1 }, `.${format}`));
+    const file = (/** @type {string} */ name, /** @type {string} */ shown, /** @type {string} */ label) => {
+      const link = element("a", { href: app.run.file(item.id, name), download: "", title: label },
+        element("button", { type: "button", tabIndex: -1 }, shown));
       link.setAttribute("aria-label", label);
       tools.append(link);
-    }
+    };
+    for (const format of selected ? ["ply", "spz", "glb"] : ["ply"]) file(format, `.${format}`, text("export_file", item.name, format));
+    if (selected && item.prompted && !item.edited) file("prompts", text("short_prompts"), text("save_prompts", item.name));
     if (selected) {
       const pair = (/** @type {string} */ how) => {
         const others = (state?.objects ?? []).filter(o => o.id !== item.id);

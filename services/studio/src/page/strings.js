@@ -55,7 +55,7 @@ export const strings = {
   farm_retried: "“{0}” is tried again by the farm.",
   done_how: "Keep it, or correct it: click what is missing, right click what is too much.",
   kept: "Kept as “{0}”. The list of objects saves it as a file. Click the next object.", take_back: "Take the last click back",
-  save_as: "save as", radius: "Brush and sphere: {0} % of the view wide", showing_none: "Click an object first, or select one.",
+  save_as: "save as", short_prompts: "prompts", save_prompts: "Save the prompts of {0}, for segwild segment --prompts", radius: "Brush and sphere: {0} % of the view wide", showing_none: "Click an object first, or select one.",
   tool_how: "{0}. Alone or with Shift it adds, with Ctrl it takes away, with both it intersects.",
   does_keep: "Keep the answer as an object", does_drop: "Drop the prompts; show everything again", does_undo: "Undo",
   does_redo: "Redo", does_next_photo: "Next photo", does_previous_photo: "Previous photo", does_view_photo: "Photo alone",

@@ -30,6 +30,22 @@ impl Studio {
         Ok((name, self.session.object_file(&selected, &appearance, format)?))
     }
 
+    /// The prompts of an object as a file, and the file's name: `segwild segment --prompts` selects the object by it.
+    ///
+    /// # Errors
+    /// When there is no such object, or tools made or changed it.
+    pub fn prompts_file(&self, id: ObjectId) -> Result<(String, Vec<u8>), StudioError> {
+        let object = self.state().document.objects().get(id)?.clone();
+        if object.draft.is_empty() || object.edited {
+            return Err(StudioError::Request(
+                "a tool made or changed this object: no prompts select its splats",
+            ));
+        }
+        let text = serde_json::to_vec_pretty(&self.replay(&object.draft));
+        let text = text.map_err(|_| StudioError::Request("the prompts of this object cannot be written"))?;
+        Ok((format!("{}.prompts.json", file_stem(&object.name)), text))
+    }
+
     /// The names of the kept objects, and per splat of the scene the number of its object from 1, 0 for none.
     pub(super) fn numbered(&self) -> (Vec<String>, Vec<u8>) {
         let mut state = self.state();

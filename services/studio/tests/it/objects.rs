@@ -446,6 +446,8 @@ fn all_objects_are_exported_as_labels_masks_and_selections_of_the_run() {
     let saved = std::fs::read(folder.selection("the_first").join("object.ply")).unwrap();
     assert!(saved == ply(&studio, 1));
     assert!(folder.selection("the_first").join("masks").is_dir());
+    let written_prompts = std::fs::read(folder.selection("the_first").join("prompts.json")).unwrap();
+    assert_eq!(studio.prompts_file(1).unwrap(), ("the_first.prompts.json".into(), written_prompts));
     // That was the answer that was kept. A second one, after a restart, writes the same to the byte.
     let written = || {
         let read = |file| std::fs::read(folder.selection("the_first").join(file)).unwrap();
@@ -469,4 +471,5 @@ fn all_objects_are_exported_as_labels_masks_and_selections_of_the_run() {
     studio.act(StudioAction::Prompt { prompts: Vec::new(), alternative: 0 }).unwrap();
     studio.act(StudioAction::Grow { id: 2, steps: 1 }).unwrap();
     assert!(studio.save(2).is_err(), "no prompts make what a tool changed");
+    assert!(studio.prompts_file(2).is_err() && studio.prompts_file(9).is_err());
 }
