@@ -5,7 +5,7 @@ use crate::messages::{FrameRequest, HoverRequest, PickRequest, StateMessage, Stu
 use crate::page;
 use axum::body::{Body, Bytes};
 use axum::extract::{Path, Query, Request, State};
-use axum::http::{HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodFilter, MethodRouter, get, on};
@@ -126,9 +126,11 @@ pub(crate) fn call_of(path: &str) -> Option<&'static str> {
 
 /// All routes, without their guard.
 pub(crate) fn routes(runs: Runs) -> Router {
-    let mut router = Router::new()
-        .route("/", get(async || page::file("index.html")))
-        .route("/page/{name}", get(async |Path(name): Path<String>| page::file(&name)));
+    let mut router =
+        Router::new().route("/", get(async |headers: HeaderMap| page::file("index.html", &headers))).route(
+            "/page/{name}",
+            get(async |Path(name): Path<String>, headers: HeaderMap| page::file(&name, &headers)),
+        );
     for route in API {
         router = router.route(&format!("{ROOT}{}", route.path), (route.handler)(route.method.filter()));
     }
