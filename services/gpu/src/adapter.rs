@@ -38,6 +38,14 @@ pub enum AdapterChoice {
     Named(String),
 }
 
+/// Why there is no accelerator where [`adapters`] has none. Drivers are libraries that are loaded at run time, and a
+/// program that is linked statically to musl loads none.
+pub const NO_DRIVER: &str = if cfg!(all(target_env = "musl", target_feature = "crt-static")) {
+    "this program is linked statically and loads no driver; the program for linux-gnu does"
+} else {
+    "no Vulkan, Metal or Direct3D 12 driver answers"
+};
+
 /// All accelerators, best first.
 pub fn adapters() -> Vec<Adapter> {
     list().iter().map(describe).collect()
@@ -111,7 +119,7 @@ pub(crate) fn open(
 fn none_of(choice: &AdapterChoice, all: &[Adapter]) -> String {
     let names = all.iter().map(|a| format!("{} ({})", a.name, a.kind)).collect::<Vec<_>>().join(", ");
     match (choice, all.is_empty()) {
-        (_, true) => "no accelerator was found: no Vulkan, Metal or Direct3D 12 driver answers".to_owned(),
+        (_, true) => format!("no accelerator was found: {NO_DRIVER}"),
         (AdapterChoice::Hardware, false) => format!(
             "the only accelerators here are programs on the CPU, slower than the CPU engine: {names}; `--adapter` takes one \
              by its name all the same"
@@ -177,7 +185,7 @@ mod tests {
 
     #[test]
     fn a_missing_adapter_is_reported_with_those_available() {
-        assert!(none_of(&AdapterChoice::Hardware, &[]).contains("no Vulkan"));
+        assert!(none_of(&AdapterChoice::Hardware, &[]).contains(NO_DRIVER));
         let text = none_of(&AdapterChoice::Hardware, &[llvmpipe()]);
         assert!(
             text.contains("slower than the CPU engine") && text.contains("llvmpipe (LLVM 15) (software)"),

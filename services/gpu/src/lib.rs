@@ -67,7 +67,7 @@ mod test_adapter;
 mod training;
 mod view;
 
-pub use adapter::{Adapter, AdapterChoice, adapters};
+pub use adapter::{Adapter, AdapterChoice, NO_DRIVER, adapters};
 pub use engine::GpuEngine;
 pub use memory::LEAST_PHOTOS;
 pub use need::training_bytes;

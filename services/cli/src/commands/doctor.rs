@@ -60,7 +60,7 @@ pub fn doctor(matches: &ArgMatches, program: Command) -> Result<(), Failure> {
     found.push(("cores", cores.to_string()));
     let adapters = segwild_gpu::adapters();
     if adapters.is_empty() {
-        found.push(("accelerator", "none: no Vulkan, Metal or Direct3D 12 driver answers".into()));
+        found.push(("accelerator", format!("none: {}", segwild_gpu::NO_DRIVER)));
     }
     found.extend(adapters.iter().map(|adapter| ("accelerator", accelerator(adapter))));
     found.push((

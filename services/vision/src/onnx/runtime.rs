@@ -18,6 +18,9 @@ pub struct Runtime {
 /// Default of the MiB that networks may hold: the base encoders of the SAM family take about 3000, the largest one twice as much.
 pub(crate) const MEMORY_MIB: u32 = 4096;
 
+/// Whether this program can load libraries. One that is linked statically to musl cannot: there `dlopen` always fails.
+const LOADS_LIBRARIES: bool = !cfg!(all(target_env = "musl", target_feature = "crt-static"));
+
 static LOADED: Mutex<Option<Runtime>> = Mutex::new(None);
 
 impl Runtime {
@@ -31,6 +34,13 @@ impl Runtime {
     /// As [`Runtime::find`]; all networks together may hold that many MiB on the CPU. The first call that loads the runtime sets
     /// the limit.
     pub(crate) fn find_within(path: &str, memory_mib: u32) -> Result<Runtime, VisionError> {
+        if !LOADS_LIBRARIES {
+            return Err(VisionError::Model(
+                "ONNX Runtime cannot be used: this program is linked statically and loads no library. Take the \
+                 program for linux-gnu, or let a vision service compute the networks (`--vision-service`)"
+                    .into(),
+            ));
+        }
         let mut loaded = lock(&LOADED);
         if let Some(runtime) = &*loaded {
             return Ok(runtime.clone());
