@@ -119,7 +119,9 @@ pub(crate) fn call_of(path: &str) -> Option<&'static str> {
     let fits = |route: &&ApiRoute| {
         let (wanted, present) = (route.path.split('/'), path.split('/'));
         wanted.clone().count() == present.clone().count()
-            && wanted.zip(present).all(|(wanted, present)| wanted.starts_with('{') || wanted == present)
+            && wanted
+                .zip(present)
+                .all(|(wanted, present)| wanted.starts_with('{') && !present.is_empty() || wanted == present)
     };
     API.iter().find(fits).map(|route| route.call)
 }
