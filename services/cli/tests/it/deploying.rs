@@ -4,13 +4,18 @@
 mod yaml;
 
 use crate::common::*;
+use crate::python::python;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+fn path_of(file: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy").join(file)
+}
+
 fn read(file: &str) -> String {
-    let path: PathBuf = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy").join(file);
+    let path = path_of(file);
     std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
@@ -163,5 +168,47 @@ fn the_services_are_bounded_and_may_do_little() {
         let secure =
             analyze(&["security", "--offline=true", "--no-pager", "--threshold=20", &file]).expect("it runs");
         assert!(secure.status.success(), "{}{}", text(&secure.stdout), text(&secure.stderr));
+    }
+}
+
+#[test]
+fn kubernetes_and_compose_files_pass_the_schemas_of_both() {
+    let test = "kubernetes_and_compose_files_pass_the_schemas_of_both";
+    let packages = "jsonschema, kubernetes_validate, yaml";
+    let Some(mut python) = python(test, packages, ".ci/schemas.txt") else { return };
+    let kubernetes = std::fs::read_dir(path_of("kubernetes")).expect("a folder").flatten();
+    let mut files: Vec<PathBuf> = kubernetes.map(|entry| entry.path()).collect();
+    files.extend(["compose.yaml", "compose.farm.yaml"].map(path_of));
+    // Each with a mistake that a schema knows, beside the files as they are.
+    let dir = folder();
+    let mistakes = [
+        ("kubernetes/scenes.yaml", ", status: \"True\"", "", "'status' is a required property"),
+        ("kubernetes/pool.yaml", "sizeLimit:", "size:", "'size' was unexpected"),
+        ("kubernetes/pool-hpa.yaml", "minReplicas: 1", "minReplicas: one", "'one' is not of type"),
+        ("compose.farm.yaml", "pids_limit:", "pid_limit:", "'pid_limit' was unexpected"),
+    ];
+    let wrong = mistakes.map(|(file, right, wrong, _)| {
+        let text = read(file);
+        assert!(text.contains(right), "{file} has no `{right}`");
+        let path = dir.path().join(file.replace('/', "-"));
+        std::fs::write(&path, text.replace(right, wrong)).expect("it writes");
+        path
+    });
+    python.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/it/schemas.py"));
+    let output = python.args(&files).args(&wrong).output().expect("it starts");
+    let (stdout, stderr) = (text(&output.stdout), text(&output.stderr));
+    assert!(output.status.success(), "{stderr}");
+    let of = |file: &Path| {
+        let start = format!("{}: ", show(file));
+        stdout.lines().filter_map(|line| line.strip_prefix(&*start)).collect::<Vec<&str>>()
+    };
+    for file in &files {
+        // KEDA's definitions are in no package: docs/guide/farm.md has the command that checks by them.
+        let passes = |line: &&str| line.ends_with(": passes") || line.starts_with("ScaledObject ");
+        let refused: Vec<&str> = of(file).into_iter().filter(|line| !passes(line)).collect();
+        assert!(!of(file).is_empty() && refused.is_empty(), "{}: {refused:?}", file.display());
+    }
+    for ((.., words), file) in mistakes.iter().zip(&wrong) {
+        assert!(of(file).iter().any(|line| line.contains(words)), "{words}: {stdout}");
     }
 }

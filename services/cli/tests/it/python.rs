@@ -9,8 +9,8 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-/// A Python that has the packages of these names, where `pip` put them; `None` with a line where one is missing.
-fn python(test: &str, packages: &str) -> Option<Command> {
+/// A Python that has the packages of these names, where `pip` put those of a file; `None` with a line where one is missing.
+pub fn python(test: &str, packages: &str, file: &str) -> Option<Command> {
     let found = root().join("target/tools/python");
     let start = || {
         let mut python = Command::new("python3");
@@ -21,7 +21,7 @@ fn python(test: &str, packages: &str) -> Option<Command> {
     if can.is_ok_and(|output| output.status.success()) {
         return Some(start());
     }
-    eprintln!("skipped: {test}: python3 has no {packages} (pip install -r .ci/python.txt)");
+    eprintln!("skipped: {test}: python3 has no {packages} (pip install --no-deps -r {file})");
     None
 }
 
@@ -42,7 +42,7 @@ fn passes(mut python: Command, args: &[&str]) {
 #[test]
 fn python_reads_from_a_run_what_the_program_and_other_readers_do() {
     let test = "python_reads_from_a_run_what_the_program_and_other_readers_do";
-    let Some(mut python) = python(test, "numpy, plyfile, pycocotools") else { return };
+    let Some(mut python) = python(test, "numpy, plyfile, pycocotools", ".ci/python.txt") else { return };
     let dir = folder();
     python.env("SEGWILD_TEST_SCENE", &shared_run().scene).env("SEGWILD_TEST_RUN", copied_run(&dir));
     passes(python, &["discover", "--start-directory", "tests", "--top-level-directory", "."]);
@@ -50,7 +50,7 @@ fn python_reads_from_a_run_what_the_program_and_other_readers_do() {
 
 /// Runs the notebook in a folder that has the run which the notebook trains: the program finds it done.
 pub fn notebook_passes(folder: &Path) {
-    let Some(mut python) = python("the notebook", "numpy") else { return };
+    let Some(mut python) = python("the notebook", "numpy", ".ci/python.txt") else { return };
     python.env("SEGWILD_TEST_NOTEBOOK", folder);
     passes(python, &["tests.notebook"]);
 }
