@@ -1,7 +1,7 @@
 //! Why a farm cannot be measured.
 
 use segwild_farm::{EngineError, FarmAddressError};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Why a farm cannot be measured.
 #[derive(Debug, thiserror::Error)]
@@ -23,6 +23,14 @@ pub enum FarmBenchError {
         /// The system's error.
         source: std::io::Error,
     },
+    /// The link of a network could not be cut or restored.
+    #[error("`ip link set {link} {state}` is refused")]
+    Link {
+        /// The link.
+        link: String,
+        /// What it should be.
+        state: &'static str,
+    },
     /// A scene could not be made or worked.
     #[error("{0}")]
     Scene(String),
@@ -32,4 +40,9 @@ pub enum FarmBenchError {
     /// A thread of the benchmark panicked.
     #[error("a machine of the benchmark panicked")]
     Panicked,
+}
+
+/// What an error of the system becomes, where it is about a file or a process of this folder.
+pub(super) fn io_error(path: &Path) -> impl Fn(std::io::Error) -> FarmBenchError {
+    move |source| FarmBenchError::Io { path: path.to_owned(), source }
 }

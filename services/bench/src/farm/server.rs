@@ -1,8 +1,11 @@
 //! What a farm's log costs on a real server.
 
 use super::error::FarmBenchError;
-use segwild_farm::{FarmAccess, FarmAddress, Job, JobEngine, NatsEngine, Needs, WorkerOffer};
+use segwild_farm::{
+    Decision, FarmAccess, FarmAddress, Job, JobEngine, JobTable, NatsEngine, Needs, Transition, WorkerOffer,
+};
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -18,19 +21,31 @@ pub struct LogFigures {
     pub changes_per_s: f64,
     /// Changes a second of four machines that work at once, all together.
     pub changes_per_s_of_four: f64,
-    /// How long a machine that joins reads the log, in milliseconds.
+    /// How long folding a change into the table takes, in microseconds, on average over the log of these jobs.
+    pub fold_us: f64,
+    /// The log as it grows: after each quarter of the jobs.
+    pub growth: Vec<LogGrowth>,
+}
+
+/// A log of some length.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LogGrowth {
+    /// Records that were ever appended.
+    pub records: u64,
+    /// Changes a second by one machine, of the last quarter.
+    pub changes_per_s: f64,
+    /// How long a machine that joins takes until it knows the jobs, in milliseconds.
     pub join_ms: f64,
-    /// Records that it reads.
+    /// Records that it reads and folds for that; what is older it takes from a snapshot.
     pub join_records: u64,
     /// Bytes on the server's disk.
     pub disk_bytes: u64,
-    /// Records that were ever appended.
-    pub disk_records: u64,
 }
 
 /// A server with its store in a folder; it ends with this value.
 pub(super) struct NatsProcess {
     child: Child,
+    host: String,
     port: u16,
 }
 
@@ -40,13 +55,17 @@ impl Drop for NatsProcess {
     }
 }
 
+/// This machine, for itself alone.
+pub(super) const LOCAL: &str = "127.0.0.1";
 /// How long a server may take to start.
 const START: Duration = Duration::from_secs(20);
+/// A log is folded so often while that is timed.
+const FOLDED: usize = 20;
 
 impl NatsProcess {
     /// The address of a farm on it.
     pub fn address(&self, farm: &str) -> String {
-        format!("nats://127.0.0.1:{}/{farm}", self.port)
+        format!("nats://{}:{}/{farm}", self.host, self.port)
     }
 
     pub fn port(&self) -> u16 {
@@ -60,17 +79,23 @@ impl NatsProcess {
         let _ = self.child.wait();
     }
 
-    /// Starts a server on a port, or on any; `None` where there is no such program.
+    /// Starts a server at an address of this machine, on a port or on any; `None` where there is no such program.
     pub fn start(
         program: &Path,
         folder: &Path,
+        host: &str,
         port: Option<u16>,
     ) -> Result<Option<NatsProcess>, FarmBenchError> {
-        start(program, folder, port)
+        start(program, folder, host, port)
     }
 }
 
-fn start(program: &Path, folder: &Path, port: Option<u16>) -> Result<Option<NatsProcess>, FarmBenchError> {
+fn start(
+    program: &Path,
+    folder: &Path,
+    host: &str,
+    port: Option<u16>,
+) -> Result<Option<NatsProcess>, FarmBenchError> {
     let port = port.map_or_else(|| "-1".to_owned(), |port| port.to_string());
     let io = |source| FarmBenchError::Io { path: folder.to_owned(), source };
     let ports = folder.join("ports");
@@ -79,7 +104,7 @@ fn start(program: &Path, folder: &Path, port: Option<u16>) -> Result<Option<Nats
     }
     std::fs::create_dir_all(&ports).map_err(io)?;
     let spawned = Command::new(program)
-        .args(["-a", "127.0.0.1", "-p", &port, "-js", "-sd"])
+        .args(["-a", host, "-p", &port, "-js", "-sd"])
         .arg(folder.join("store"))
         .arg("--ports_file_dir")
         .arg(&ports)
@@ -90,7 +115,7 @@ fn start(program: &Path, folder: &Path, port: Option<u16>) -> Result<Option<Nats
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         other => other.map_err(io)?,
     };
-    let mut process = NatsProcess { child, port: 0 };
+    let mut process = NatsProcess { child, host: host.to_owned(), port: 0 };
     let began = Instant::now();
     while began.elapsed() < START {
         let file = std::fs::read_dir(&ports).map_err(io)?.find_map(|entry| Some(entry.ok()?.path()));
@@ -111,7 +136,7 @@ pub(super) fn log(program: &Path, folder: &Path, jobs: usize) -> Result<Option<L
         let removed = std::fs::remove_dir_all(folder);
         removed.map_err(|source| FarmBenchError::Io { path: folder.to_owned(), source })?;
     }
-    let Some(server) = NatsProcess::start(program, folder, None)? else { return Ok(None) };
+    let Some(server) = NatsProcess::start(program, folder, LOCAL, None)? else { return Ok(None) };
     let version = Command::new(program).arg("--version").output().ok();
     let version = version.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
     let connect = |farm: &str| -> Result<NatsEngine, FarmBenchError> {
@@ -121,8 +146,8 @@ pub(super) fn log(program: &Path, folder: &Path, jobs: usize) -> Result<Option<L
     let needs = Needs { cores: 1, memory_bytes: 1 << 30, accelerators: 0 };
     // As long as that of a scene.
     let payload = format!("{{\"photos\": \"{}\", \"settings\": {{\"steps\": \"2000\"}}}}", "a".repeat(64));
-    let hand_in = |engine: &NatsEngine| -> Result<(), FarmBenchError> {
-        for i in 0..jobs {
+    let hand_in = |engine: &NatsEngine, jobs: Range<usize>| -> Result<(), FarmBenchError> {
+        for i in jobs {
             engine.publish(&Job::new(format!("night/{i:05}"), &*payload, needs))?;
         }
         Ok(())
@@ -136,16 +161,28 @@ pub(super) fn log(program: &Path, folder: &Path, jobs: usize) -> Result<Option<L
         Ok(done)
     };
     let engine = connect("alone")?;
-    let began = Instant::now();
-    hand_in(&engine)?;
-    work(&engine, "alone")?;
-    let changes_per_s = 3.0 * jobs as f64 / began.elapsed().as_secs_f64();
-    let began = Instant::now();
-    let joined = connect("alone")?;
-    let (join_ms, join_records) = (began.elapsed().as_secs_f64() * 1e3, joined.records());
-    let (disk_bytes, disk_records) = (size(&folder.join("store")), engine.records());
+    let (mut growth, mut seconds) = (Vec::new(), 0.0);
+    // Of fewer jobs than quarters, some quarters have none.
+    for quarter in (0..4).map(|q| q * jobs / 4..(q + 1) * jobs / 4).filter(|quarter| !quarter.is_empty()) {
+        let began = Instant::now();
+        let changes = 3.0 * quarter.len() as f64;
+        hand_in(&engine, quarter)?;
+        work(&engine, "alone")?;
+        let took = began.elapsed().as_secs_f64();
+        seconds += took;
+        let began = Instant::now();
+        let joined = connect("alone")?;
+        growth.push(LogGrowth {
+            records: joined.records(),
+            changes_per_s: changes / took,
+            join_ms: began.elapsed().as_secs_f64() * 1e3,
+            join_records: joined.log_state().unwrap_or_default().read_records,
+            disk_bytes: size(&folder.join("store")),
+        });
+    }
+    let changes_per_s = 3.0 * jobs as f64 / seconds;
     let engine = connect("four")?;
-    hand_in(&engine)?;
+    hand_in(&engine, 0..jobs)?;
     let began = Instant::now();
     let done: Result<Vec<usize>, FarmBenchError> = std::thread::scope(|scope| {
         let work = &work;
@@ -156,16 +193,41 @@ pub(super) fn log(program: &Path, folder: &Path, jobs: usize) -> Result<Option<L
     });
     let changes_per_s_of_four = 2.0 * done?.into_iter().sum::<usize>() as f64 / began.elapsed().as_secs_f64();
     let server = version.unwrap_or_else(|| "unknown".into());
-    Ok(Some(LogFigures {
-        server,
-        jobs,
-        changes_per_s,
-        changes_per_s_of_four,
-        join_ms,
-        join_records,
-        disk_bytes,
-        disk_records,
-    }))
+    let fold_us = fold_us(jobs, &payload, needs);
+    Ok(Some(LogFigures { server, jobs, changes_per_s, changes_per_s_of_four, fold_us, growth }))
+}
+
+/// How long folding a change of so many jobs into a table takes, in microseconds: without the server, as everybody who reads the
+/// log does it.
+fn fold_us(jobs: usize, payload: &str, needs: Needs) -> f64 {
+    let mut table = JobTable::default();
+    let mut log = Vec::<Transition>::new();
+    let mut append = |table: &mut JobTable, transitions: Vec<Transition>| {
+        for transition in transitions {
+            table.apply(&transition, 0.0, log.len() as u64 + 1);
+            log.push(transition);
+        }
+    };
+    for i in 0..jobs {
+        let decision = table.publish(&Job::new(format!("night/{i:05}"), payload, needs));
+        append(&mut table, decision.transitions);
+    }
+    let offer = WorkerOffer::all("fold", needs, 60.0);
+    let completed = |job: &str| Transition::Completed { job: job.to_owned(), outcome: "{}".into() };
+    loop {
+        let Decision { transitions, answer } = table.claim(&offer, 0.0);
+        append(&mut table, transitions);
+        let Ok(Some(job)) = answer else { break };
+        append(&mut table, vec![completed(&job)]);
+    }
+    let began = Instant::now();
+    for _ in 0..FOLDED {
+        let mut table = JobTable::default();
+        for (i, transition) in log.iter().enumerate() {
+            table.apply(transition, 0.0, i as u64 + 1);
+        }
+    }
+    began.elapsed().as_secs_f64() * 1e6 / (FOLDED * log.len()).max(1) as f64
 }
 
 fn size(folder: &Path) -> u64 {

@@ -47,6 +47,9 @@ pub struct SimulatedFigures {
     pub redone: f64,
     /// How long an urgent scene that needs a whole large machine waited at most, in minutes.
     pub urgent_wait_min: f64,
+    /// How many scenes that were behind it in the queue (less urgent, or handed in later) at most were started before a scene of
+    /// the start. Smaller ones may pass where it fits nowhere.
+    pub overtaken: usize,
     /// From when no scene was waiting any more until the end, over the time of the longest scene.
     pub tail: f64,
     /// How often a machine fell silent.
@@ -156,6 +159,8 @@ struct FarmState {
     longest: f64,
     urgent: BTreeMap<usize, f64>,
     urgent_wait: f64,
+    /// Scenes of the start, in the order in which they were first started.
+    started: Vec<usize>,
     silences: usize,
 }
 
@@ -186,6 +191,7 @@ impl SimulatedFarm {
             longest: 0.0,
             urgent: BTreeMap::new(),
             urgent_wait: 0.0,
+            started: Vec::with_capacity(self.scenes),
             silences: 0,
         };
         for i in 0..self.scenes {
@@ -215,6 +221,13 @@ impl SimulatedFarm {
 /// A few scenes are a little more urgent than others.
 fn farm_priority(i: usize) -> i32 {
     i32::from(i.is_multiple_of(7))
+}
+
+/// How many scenes that were behind it at most were started before a scene.
+fn most_overtaken(started: &[usize]) -> usize {
+    let turn = |scene: usize| (Reverse(farm_priority(scene)), scene);
+    let passed_by = |i: usize| started[..i].iter().filter(|before| turn(**before) > turn(started[i])).count();
+    (0..started.len()).map(passed_by).max().unwrap_or_default()
 }
 
 impl FarmState {
@@ -333,6 +346,8 @@ impl FarmState {
         };
         if let Some(since) = self.urgent.remove(&scene) {
             self.urgent_wait = self.urgent_wait.max(self.now - since);
+        } else if self.scenes[scene].attempts == 0 {
+            self.started.push(scene);
         }
         self.last_claim = self.now;
         let under_way = self.machines.iter().flat_map(|m| &m.running);
@@ -444,6 +459,7 @@ impl FarmState {
             busy: self.worked_then / (f64::from(cores) * self.last_claim),
             redone: 1.0 - self.useful / self.worked,
             urgent_wait_min: self.urgent_wait / 60.0,
+            overtaken: most_overtaken(&self.started),
             tail: (end - self.last_claim) / self.longest,
             silences: self.silences,
             records: self.records,
@@ -467,5 +483,14 @@ mod tests {
         assert!((0.7..=1.0).contains(&found.busy), "{}", found.busy);
         assert!(found.urgent_wait_min < 120.0, "{}", found.urgent_wait_min);
         assert_eq!(found, farm.run());
+    }
+
+    #[test]
+    fn a_scene_is_overtaken_by_later_ones_that_start_first() {
+        // Multiples of 7 are more urgent, then the first one goes first.
+        assert_eq!(most_overtaken(&[0, 7, 14, 1, 2, 3]), 0);
+        assert_eq!(most_overtaken(&[1, 0, 2, 7, 3]), 2, "1 and 2 are behind 7");
+        assert_eq!(most_overtaken(&[0, 2, 3, 4, 1]), 3);
+        assert_eq!(most_overtaken(&[]), 0);
     }
 }

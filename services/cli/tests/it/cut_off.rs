@@ -4,86 +4,33 @@
 use crate::common::*;
 use crate::farm::nats_server::NatsServer;
 use crate::farm::{batch, engine, log, manifest, worker, worker_by};
+use segwild_bench::farm::CutNetwork;
 use segwild_farm::{ChangeKind, JobEngine, JobState};
 use std::path::Path;
-use std::process::Command;
 
-/// A network of its own, with a link to this machine's; removed when dropped.
-struct Network {
-    name: String,
-    /// The ends of the link.
-    outside: String,
-    inside: String,
-    /// The address of the outer end.
-    address: String,
-}
-
-fn ip(args: &[&str]) -> bool {
-    Command::new("ip").args(args).output().is_ok_and(|output| output.status.success())
-}
-
-impl Network {
-    /// `None` where this process may not make one.
-    fn new() -> Option<Network> {
-        let id = std::process::id();
-        let net = format!("10.{}.{}", 200 + (id >> 8) % 50, id % 256);
-        let network = Network {
-            name: format!("segwild-{id}"),
-            outside: format!("sw{id}o"),
-            inside: format!("sw{id}i"),
-            address: format!("{net}.1"),
-        };
-        let Network { name, outside, inside, address } = &network;
-        let (outer, inner) = (format!("{address}/30"), format!("{net}.2/30"));
-        let made = ip(&["netns", "add", name])
-            && ip(&["link", "add", outside, "type", "veth", "peer", "name", inside])
-            && ip(&["link", "set", inside, "netns", name])
-            && ip(&["addr", "add", &outer, "dev", outside])
-            && ip(&["link", "set", outside, "up"])
-            && ip(&["-n", name, "addr", "add", &inner, "dev", inside])
-            && ip(&["-n", name, "link", "set", inside, "up"]);
-        made.then_some(network)
-    }
-
-    /// A worker in it.
-    fn worker(&self, dir: &Path, farm: &str, name: &str) -> Guarded {
-        let mut program = Command::new("ip");
-        program.args(["netns", "exec", &self.name, env!("CARGO_BIN_EXE_segwild")]);
-        worker_by(program, dir, farm, name, &[])
-    }
-
-    /// Cuts or heals its link: nobody on either side closes a connection.
-    fn link(&self, state: &str) {
-        assert!(ip(&["-n", &self.name, "link", "set", &self.inside, state]), "the link goes {state}");
-    }
-}
-
-impl Drop for Network {
-    fn drop(&mut self) {
-        // Its end goes with the other one.
-        let _ = ip(&["link", "del", &self.outside]);
-        let _ = ip(&["netns", "del", &self.name]);
-    }
+/// A worker in a network of its own.
+fn worker_in(network: &CutNetwork, dir: &Path, farm: &str, name: &str) -> Guarded {
+    worker_by(network.command(Path::new(env!("CARGO_BIN_EXE_segwild"))), dir, farm, name, &[])
 }
 
 #[test]
 fn a_worker_that_is_cut_off_loses_its_scene_to_another_and_goes_on_when_the_network_is_back() {
     let dir = folder();
     let path = dir.path();
-    let Some(network) = Network::new() else {
+    let Some(network) = CutNetwork::new() else {
         eprintln!(
             "skipped: a_worker_that_is_cut_off_loses_its_scene_to_another_and_goes_on_when_the_network_is_back: \
              no network namespace can be made here (that takes root, and `ip`: apt-get install iproute2)"
         );
         return;
     };
-    let Some(server) = NatsServer::start_with(path, &network.address, &[]) else { return };
+    let Some(server) = NatsServer::start_with(path, network.address(), &[]) else { return };
     let farm = server.farm("f");
     let jobs = engine(&farm);
     let watching = batch(path, &farm, &manifest(path, &["a"]), &[]);
-    let _first = network.worker(path, &farm, "first");
+    let _first = worker_in(&network, path, &farm, "first");
     until("a stored state", || log(path, "first").contains("is stored").then_some(()));
-    network.link("down");
+    network.link(false).expect("the link goes down");
     // Its process computes on, and its worker reaches nobody. The lease ends, and a moment later another may take the scene.
     jobs.pass(70.0).expect("the server answers");
     let second = worker(path, &farm, "second", &[]);
@@ -91,7 +38,7 @@ fn a_worker_that_is_cut_off_loses_its_scene_to_another_and_goes_on_when_the_netw
     until("the end of the lease", || (count(ChangeKind::Expired) == 1).then_some(()));
     jobs.pass(10.0).expect("the server answers");
     until("the scene on another worker", || log(path, "second").contains("night/a begins").then_some(()));
-    network.link("up");
+    network.link(true).expect("the link goes up");
     let ended = watching.wait_with_output().expect("it ends");
     let logs = || format!("-- first\n{}\n-- second\n{}", log(path, "first"), log(path, "second"));
     assert_eq!(ended.status.code(), Some(0), "{}\n{}", text(&ended.stderr), logs());

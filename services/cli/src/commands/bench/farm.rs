@@ -6,7 +6,7 @@ use crate::exit;
 use crate::failure::Failure;
 use crate::output::print_line;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::farm::{FarmBenchOptions, page};
+use segwild_bench::farm::{FailureFigures, FarmBenchOptions, page};
 use segwild_eval::record::Provenance;
 use std::path::PathBuf;
 
@@ -22,7 +22,7 @@ pub fn command() -> Command {
         .arg(path("server", "The nats-server program [default: nats-server]"))
         .arg(number("jobs", "1000", "Jobs of the log that is measured").value_parser(whole()))
         .arg(
-            number("kills", "40", "How often a part of a small farm is killed; 0: not at all")
+            number("kills", "40", "Kills of parts of a small farm, before its network is cut; 0: neither")
                 .value_parser(value_parser!(u32)),
         )
         .arg(number("scene-count", "10000", "Simulated scenes").value_parser(whole()))
@@ -64,15 +64,22 @@ pub fn farm(matches: &ArgMatches) -> Result<(), Failure> {
     .map_err(failed)?;
     match &figures.log {
         None => print_line("no nats-server here: the log was not measured")?,
-        Some(log) => print_line(&format!(
-            "{:.0} changes a second by one machine, {:.0} by four; {:.0} ms to join after {} records",
-            log.changes_per_s, log.changes_per_s_of_four, log.join_ms, log.join_records
-        ))?,
+        Some(log) => {
+            let (joined, records) = log.growth.last().map_or((0.0, 0), |l| (l.join_ms, l.records));
+            print_line(&format!(
+                "{:.0} changes a second by one machine, {:.0} by four; {:.1} µs to fold one; {joined:.0} ms to join after {records} \
+                 records",
+                log.changes_per_s, log.changes_per_s_of_four, log.fold_us
+            ))?;
+        }
     }
-    if let Some(k) = &figures.kills {
+    let failing = [("killed", &figures.kills), ("cut", &figures.cuts)];
+    let failing: Vec<(&str, &FailureFigures)> =
+        failing.into_iter().filter_map(|(what, measured)| Some((what, measured.as_ref()?))).collect();
+    for (what, f) in &failing {
         print_line(&format!(
-            "{:?} killed: {} of {} scenes differ, {} completed twice, in {:.0} s",
-            k.killed, k.differing, k.scenes, k.completed_twice, k.farm_s
+            "{what} {:?}: {} of {} scenes differ, {} lost, {} completed twice, in {:.0} s",
+            f.failures, f.differing, f.scenes, f.lost, f.completed_twice, f.farm_s
         ))?;
     }
     if let Some(file) = path_of(matches, "page") {
@@ -80,9 +87,9 @@ pub fn farm(matches: &ArgMatches) -> Result<(), Failure> {
         segwild_flow::files::write_plain(&file, page(&figures, &options, &made))
             .map_err(|e| Failure::cannot_write(&file, &e))?;
     }
-    if let Some(k) = figures.kills.as_ref().filter(|k| k.differing + k.completed_twice > 0) {
-        let message =
-            format!("{} scenes differ after kills, {} were completed twice", k.differing, k.completed_twice);
+    if let Some((what, f)) = failing.iter().find(|(_, f)| f.wrong() > 0) {
+        let (differing, lost, twice) = (f.differing, f.lost, f.completed_twice);
+        let message = format!("{what}: {differing} scenes differ, {lost} were lost, {twice} completed twice");
         return Err(Failure { message, code: exit::FAILED });
     }
     match figures.simulated.iter().find(|s| s.lost > 0 || s.completed_twice > 0) {
