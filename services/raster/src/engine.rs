@@ -121,6 +121,12 @@ pub trait Rasterizer: Send + Sync {
     /// Name for logs and cache keys.
     fn name(&self) -> &'static str;
 
+    /// Whether it computes on the host alone. Several threads may then work on a view each, which is quicker than all on one
+    /// view; threads that wait for a device would only wait for each other.
+    fn is_on_host(&self) -> bool {
+        false
+    }
+
     /// Projects, culls, bins and sorts the splats for one view.
     fn project<'a>(
         &'a self,

@@ -89,20 +89,26 @@ impl Evidence {
 /// which is `2 pi sqrt(det) (o - 1/255)` with the rasteriser's cut-off; at most the whole frame.
 /// 0 for splats that are not in front of the camera.
 pub fn unoccluded(splats: &Splats, camera: &Camera, pose: &Pose, options: &ProjectOptions) -> Vec<f32> {
+    let light = |i| unoccluded_light(splats, camera, pose, options, i);
+    (0..splats.len()).into_par_iter().with_min_len(1024).map(light).collect()
+}
+
+/// [`unoccluded`] of one splat.
+pub(crate) fn unoccluded_light(
+    splats: &Splats,
+    camera: &Camera,
+    pose: &Pose,
+    options: &ProjectOptions,
+    splat: usize,
+) -> f32 {
+    let seen = Ellipsoid::of(splats, splat).and_then(|s| s.project(camera, pose, options.near));
+    let opacity = splats.opacity(splat);
+    let (Some(footprint), true) = (seen, opacity > ALPHA_MIN) else { return 0.0 };
+    // Anti-aliasing lowers the opacity by as much as the low-pass widened the splat.
+    let low_pass = if options.antialias { 0.0 } else { f64::from(options.low_pass) };
+    let area = std::f64::consts::TAU * footprint.determinant(low_pass).sqrt();
     let frame = camera.width as f32 * camera.height as f32;
-    (0..splats.len())
-        .into_par_iter()
-        .with_min_len(1024)
-        .map(|i| {
-            let seen = Ellipsoid::of(splats, i).and_then(|s| s.project(camera, pose, options.near));
-            let opacity = splats.opacity(i);
-            let (Some(footprint), true) = (seen, opacity > ALPHA_MIN) else { return 0.0 };
-            // Anti-aliasing lowers the opacity by as much as the low-pass widened the splat.
-            let low_pass = if options.antialias { 0.0 } else { f64::from(options.low_pass) };
-            let area = std::f64::consts::TAU * footprint.determinant(low_pass).sqrt();
-            ((opacity - ALPHA_MIN) * area as f32).min(opacity * frame)
-        })
-        .collect()
+    ((opacity - ALPHA_MIN) * area as f32).min(opacity * frame)
 }
 
 /// Evidence of one view in coverage mode. `inside` and `weight` have one number per pixel: how much of the
@@ -116,27 +122,42 @@ pub fn coverage(
     size: (u32, u32),
     worth: Vote,
 ) -> Result<Evidence, RasterError> {
+    coverage_by(projected, |i| unoccluded[i], inside, weight, size, worth)
+}
+
+/// The same where [`unoccluded`] is computed of the splats that the view sees alone: they are the fewer ones.
+pub(crate) fn coverage_by(
+    projected: &dyn Projected,
+    unoccluded: impl Fn(usize) -> f32 + Sync,
+    inside: &[f32],
+    weight: &[f32],
+    size: (u32, u32),
+    worth: Vote,
+) -> Result<Evidence, RasterError> {
     let mut data = Vec::with_capacity(2 * inside.len());
     data.extend_from_slice(inside);
     data.extend_from_slice(weight);
     let image = Image { width: size.0 as usize, height: size.1 as usize, channels: 2, data };
     let sums = projected.gather(&image)?;
-    let mut evidence = Evidence::none(unoccluded.len());
-    for (i, sum) in sums.chunks_exact(2).enumerate() {
+    let mut evidence = Evidence::none(sums.len() / 2);
+    let Evidence { inside, outside, known } = &mut evidence;
+    let sides = inside.par_iter_mut().zip(outside).zip(known);
+    let splats = sides.zip(sums.par_chunks_exact(2)).enumerate().with_min_len(1024);
+    splats.for_each(|(i, (((inside, outside), known), sum))| {
         let (within, all) = (sum[0].min(sum[1]), sum[1]);
         if all > 0.0 {
             let vote = match worth {
-                Vote::View => 1.0 / (unoccluded[i].max(all) + VOTE_FLOOR),
+                Vote::View => 1.0 / (unoccluded(i).max(all) + VOTE_FLOOR),
                 Vote::Light => 1.0,
             };
-            evidence.inside[i] = within * vote;
-            evidence.outside[i] = (all - within) * vote;
-            evidence.known[i] = match worth {
+            *inside = within * vote;
+            *outside = (all - within) * vote;
+            *known = match worth {
                 Vote::View => (all * vote).powf(COVERAGE_EXPONENT),
                 Vote::Light => all,
             };
         }
-    }
+    });
     Ok(evidence)
 }
 

@@ -1,19 +1,16 @@
 //! The photos that a click may visit (method, section 6.9): all of a scene of few photos, and of one of many those that add most.
 
 use crate::label_fusion::{FusionState, LabelFusion};
-use crate::request::project;
+use crate::request::PosedView;
 use crate::scene_tree::ENOUGH_VIEWS;
 use crate::steps::PUBLISHED_AFTER;
 use crate::view_splats::SplatSet;
-use crate::{Refiner, Request, SegmentError, ViewSplats, coverage};
+use crate::{Refiner, Request, SegmentError, ViewSplats};
 use glam::Vec3;
 use rayon::prelude::*;
 use segwild_scene::view_selection::{CandidateView, ViewCoverage, cells_in_frame, select_views};
 use std::collections::HashMap;
 use std::sync::Arc;
-
-/// Long side in pixels at which the views are compared: to select them, and to find a good order.
-const ORDER_SIZE: u32 = 128;
 
 /// Splats of the object for which photos are selected, at most (method, section 6.9). By choice: ten of them lie in a fiftieth of
 /// the object. Not varied yet.
@@ -64,7 +61,9 @@ impl<'a> OpenViews<'a> {
         match selects {
             true => open.select(fusion, state, &[])?,
             false => {
-                for view in open.others.clone() {
+                let others = open.others.clone();
+                open.compare(&others)?;
+                for view in others {
                     let shown = open.shown_in(view)?;
                     open.views.push((view, shown));
                 }
@@ -130,9 +129,9 @@ impl<'a> OpenViews<'a> {
             let shown = self.shown_in(view)?;
             covered.add(&in_frame(view, &|point| shown.contains(splats[point])));
         }
+        self.compare(&surveyed)?;
         let mut cells = Vec::with_capacity(surveyed.len());
         for &view in &surveyed {
-            request.wanted()?;
             let shown = self.shown_in(view)?;
             cells.push(in_frame(view, &|point| shown.contains(splats[point])));
         }
@@ -163,27 +162,38 @@ impl<'a> OpenViews<'a> {
         selected.into_iter().map(|selected| views[selected.candidate]).collect()
     }
 
+    /// Finds what views show where that is not at hand: several at once, where they can be.
+    fn compare(&mut self, views: &[usize]) -> Result<(), SegmentError> {
+        let request = self.request;
+        let missing: Vec<usize> =
+            views.iter().copied().filter(|view| !self.known.contains_key(view)).collect();
+        let shown = request.in_views(&missing, |&view| shown_in(request, view))?;
+        self.known.extend(missing.into_iter().zip(shown));
+        Ok(())
+    }
+
     /// The splats that a view shows: those at hand, or computed.
-    fn shown_in(&mut self, index: usize) -> Result<Arc<SplatSet>, SegmentError> {
-        if let Some(known) = self.known.get(&index) {
+    fn shown_in(&mut self, view: usize) -> Result<Arc<SplatSet>, SegmentError> {
+        if let Some(known) = self.known.get(&view) {
             return Ok(known.clone());
         }
-        let request = self.request;
-        let compute = || -> Result<SplatSet, SegmentError> {
-            let view = &request.views[index];
-            let camera = view.camera.scaled_to(ORDER_SIZE);
-            let projected = project(request, view, &camera)?;
-            let shown = coverage::visible(&*projected, (camera.width, camera.height))
-                .map_err(SegmentError::raster(&view.name))?;
-            Ok(SplatSet::new(shown.into_iter()))
-        };
-        let of_scene = |shown: &&ViewSplats| shown.fits(request.splats.len(), request.views.len());
-        let shown = match request.shown.filter(of_scene) {
-            Some(shown) => shown.of(index, compute)?,
-            None => Arc::new(compute()?),
-        };
-        self.known.insert(index, shown.clone());
+        let shown = shown_in(self.request, view)?;
+        self.known.insert(view, shown.clone());
         Ok(shown)
+    }
+}
+
+/// The splats that a view shows: those of the scene where they are known, or computed.
+fn shown_in(request: &Request, index: usize) -> Result<Arc<SplatSet>, SegmentError> {
+    let compute = || {
+        let PosedView { name, camera, pose } = &request.views[index];
+        SplatSet::in_view(request.rasterizer, request.splats, &request.options, camera, pose)
+            .map_err(SegmentError::raster(name))
+    };
+    let of_scene = |shown: &&ViewSplats| shown.fits(request.splats.len(), request.views.len());
+    match request.shown.filter(of_scene) {
+        Some(shown) => shown.of(index, compute),
+        None => Ok(Arc::new(compute()?)),
     }
 }
 

@@ -70,23 +70,22 @@ pub(crate) fn measure(
     let Some(middle) = middle(request.splats, &labels) else { return Ok(MeasuredPhotos::default()) };
     let prompted = masks.iter().map(|(view, mask)| (*view, &mask.mask, true));
     let others = selection.visits.iter().filter_map(|visit| Some((visit.view, visit.own_mask()?, false)));
-    let mut measured = Vec::new();
-    for (index, mask, prompted) in prompted.chain(others) {
-        request.wanted()?;
+    let photos: Vec<(usize, &Mask, bool)> = prompted.chain(others).collect();
+    let measured = request.in_views(&photos, |&(index, mask, prompted)| {
         let Some(ComparedSilhouette { agreement, shown }) = compared(request, &labels, index, mask)? else {
-            continue;
+            return Ok(None);
         };
         let posed = view(request, index)?;
         let direction = direction_to(posed, middle);
-        measured.push(MeasuredPhoto { photo: posed.name.clone(), prompted, direction, agreement, shown });
-    }
+        Ok(Some(MeasuredPhoto { photo: posed.name.clone(), prompted, direction, agreement, shown }))
+    })?;
     let in_frame = |posed: &&PosedView| {
         let point = posed.pose.to_camera(middle);
         point.z > 0.0 && posed.camera.contains(posed.camera.pixel(point))
     };
     let facing = request.views.iter().filter(in_frame);
     let facing = facing.map(|posed| direction_to(posed, middle)).collect();
-    Ok(MeasuredPhotos { photos: measured, facing })
+    Ok(MeasuredPhotos { photos: measured.into_iter().flatten().collect(), facing })
 }
 
 /// From a point to a view's camera, a unit vector; zero where the camera stands there.

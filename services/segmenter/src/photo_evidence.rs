@@ -1,6 +1,6 @@
 //! The evidence of one photo's mask for the splats (method, section 6).
 
-use crate::coverage::{centre, coverage, soft, unoccluded};
+use crate::coverage::{centre, coverage_by, soft, unoccluded_light};
 use crate::request::{PosedView, PromptedView, Request, project, view, working_camera};
 use crate::settings::EvidenceMode;
 use crate::{Evidence, SegmentError, depth_layers, occlusion};
@@ -59,8 +59,8 @@ pub(crate) fn view_evidence(
         EvidenceMode::Coverage => {
             let mut inside = soft(mask, size.0, size.1);
             inside.iter_mut().zip(weights).for_each(|(inside, weight)| *inside *= weight);
-            let whole = unoccluded(request.splats, camera, &view.pose, &request.options);
-            coverage(projected, &whole, &inside, weights, size, settings.vote)
+            let whole = |i| unoccluded_light(request.splats, camera, &view.pose, &request.options, i);
+            coverage_by(projected, whole, &inside, weights, size, settings.vote)
                 .map_err(SegmentError::raster(&view.name))
         }
         EvidenceMode::Centre => Ok(centre(projected, &mask.resized(size.0, size.1), request.options.near)),

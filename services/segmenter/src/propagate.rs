@@ -5,8 +5,7 @@ use crate::coverage::{clean, soft};
 use crate::label_fusion::{FusionState, LEAST_HINT, LabelFusion, SPREAD_STEPS, sure};
 use crate::open_views::OpenViews;
 use crate::photo_evidence::view_evidence;
-use crate::request::{project, working_camera};
-use crate::spread::Belief;
+use crate::request::{AT_ONCE, project, working_camera};
 use crate::steps::{AnswerStep, PUBLISHED_AFTER};
 use crate::view_splats::SplatSet;
 use crate::{Evidence, Refiner, Request, SegmentError, SegmentSettings};
@@ -110,9 +109,6 @@ pub enum PhotoVerdict {
     NotVisible,
 }
 
-/// Photos refined at once in the later rounds, at most: each takes memory.
-const AT_ONCE: usize = 8;
-
 /// Photos that are prepared before their turn in the first round.
 const AHEAD: usize = 4;
 
@@ -144,7 +140,8 @@ pub(crate) fn propagate(
         // Backwards: a provider that caches the last photos need not encode those again.
         order.reverse();
         let priors = prior_channels(fusion, &state);
-        for some in order.chunks(rayon::current_num_threads().min(AT_ONCE)) {
+        let at_once = request.views_at_once().max(rayon::current_num_threads().min(AT_ONCE));
+        for some in order.chunks(at_once) {
             request.wanted()?;
             for (visit, evidence) in visit_photos(request, &priors, some, refiner)? {
                 if let Some(evidence) = evidence {
@@ -263,9 +260,12 @@ fn leaning(share: f32) -> f32 {
 
 /// Per splat, three channels to render: its prior, how much is known of it, and how surely it resembles the clicks.
 fn prior_channels(fusion: &LabelFusion, state: &FusionState) -> Vec<f32> {
-    let of =
-        |(i, b): (usize, &Belief)| [certainty_of(fusion, state, i), b.weight.min(1.0), sure(state.hint[i])];
-    state.beliefs.iter().enumerate().flat_map(of).collect()
+    let mut channels = vec![0.0; 3 * state.beliefs.len()];
+    let splats = channels.par_chunks_exact_mut(3).zip(&state.beliefs).enumerate().with_min_len(1024);
+    splats.for_each(|(i, (out, belief))| {
+        out.copy_from_slice(&[certainty_of(fusion, state, i), belief.weight.min(1.0), sure(state.hint[i])]);
+    });
+    channels
 }
 
 /// The rendered prior that a photo refines, with what else is rendered for its evaluation.
@@ -298,14 +298,18 @@ fn visit_photo(
     weigh_answer(request, &query, &*projected, answer)
 }
 
-/// As [`visit_photo`] for photos that share one prior. Only the refining runs in parallel: an engine may be one device. Views are
-/// projected twice, since the projections of all photos of a batch may not fit into memory.
+/// As [`visit_photo`] for photos that share one prior. Where the views cannot be projected at once
+/// ([`Request::views_at_once`]), only the refining runs in parallel, and each is projected twice: once for its prior, and once
+/// more for its evidence.
 fn visit_photos(
     request: &Request,
     priors: &[f32],
     some: &[usize],
     refiner: &dyn Refiner,
 ) -> Result<Vec<(PhotoVisit, Option<Evidence>)>, SegmentError> {
+    if request.views_at_once() > 1 {
+        return request.in_views(some, |&index| visit_photo(request, priors, index, refiner));
+    }
     let projected = |index: usize| {
         let view = &request.views[index];
         let camera = working_camera(request, view, None);

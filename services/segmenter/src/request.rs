@@ -4,9 +4,17 @@ use crate::steps::AnswerSteps;
 use crate::{
     Evidence, NeighbourGraph, SceneAffinities, SegmentError, SegmentSettings, SplatFeatures, ViewSplats,
 };
+use rayon::prelude::*;
 use segwild_objective::FieldBackend;
 use segwild_raster::{ProjectOptions, Projected, Rasterizer};
 use segwild_scene::{BoxPrompt, Camera, Image, Mask, PointPrompt, Pose, Splats, View};
+
+/// Views that several threads work on at once, at most: each takes memory.
+pub(crate) const AT_ONCE: usize = 8;
+
+/// Memory that their projections may take, and about what one takes per splat, in bytes.
+const PROJECTED_BYTES: usize = 256 << 20;
+const PROJECTED_SPLAT_BYTES: usize = 128;
 
 /// A camera where it stood.
 #[derive(Clone, Debug, PartialEq)]
@@ -99,6 +107,37 @@ impl Request<'_> {
             Some(graph) => graph,
             None => built.insert(NeighbourGraph::new(self.splats, self.settings.neighbours)),
         }
+    }
+
+    /// Views that may be projected at once, by several threads: one on a device, and where splats take too much memory.
+    pub(crate) fn views_at_once(&self) -> usize {
+        let fit = PROJECTED_BYTES / (PROJECTED_SPLAT_BYTES * self.splats.len().max(1));
+        if self.rasterizer.is_on_host() { fit.clamp(1, AT_ONCE) } else { 1 }
+    }
+
+    /// Works on views that do not depend on each other, and returns what `work` gives for each, in order. The same whatever the
+    /// number of threads.
+    ///
+    /// # Errors
+    /// The first view's that fails, or once nobody waits for the selection any more.
+    pub(crate) fn in_views<V: Sync, T: Send>(
+        &self,
+        views: &[V],
+        work: impl Fn(&V) -> Result<T, SegmentError> + Sync,
+    ) -> Result<Vec<T>, SegmentError> {
+        let work = |view: &V| self.wanted().and_then(|()| work(view));
+        let mut all = Vec::with_capacity(views.len());
+        for some in views.chunks(self.views_at_once()) {
+            let done: Vec<Result<T, SegmentError>> = match some {
+                // Alone, a view has all threads.
+                [view] => vec![work(view)],
+                some => some.par_iter().with_max_len(1).map(&work).collect(),
+            };
+            for done in done {
+                all.push(done?);
+            }
+        }
+        Ok(all)
     }
 
     /// An error once nobody waits for the selection any more.

@@ -1,8 +1,14 @@
 //! Which splats each view shows. It depends on the scene alone, so that the first clicks compute it for all that follow.
 
+use crate::coverage::visible;
 use segwild_flow::lock;
+use segwild_raster::{ProjectOptions, RasterError, Rasterizer};
+use segwild_scene::{Camera, Pose, Splats};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
+
+/// Long side in pixels at which the views are compared: to select them, and to find a good order.
+const ORDER_SIZE: u32 = 128;
 
 /// Memory for what the views show, at most: a bit per splat and view. What does not fit is computed by each click that needs it.
 const MAX_BYTES: usize = 64 << 20;
@@ -18,6 +24,19 @@ impl SplatSet {
             words[i / 64] |= u64::from(flag) << (i % 64);
         }
         SplatSet(words)
+    }
+
+    /// The splats of a scene that a view shows, at the size at which views are compared.
+    pub fn in_view(
+        rasterizer: &dyn Rasterizer,
+        splats: &Splats,
+        options: &ProjectOptions,
+        camera: &Camera,
+        pose: &Pose,
+    ) -> Result<SplatSet, RasterError> {
+        let camera = camera.scaled_to(ORDER_SIZE);
+        let projected = rasterizer.project(splats, &camera, pose, options)?;
+        Ok(SplatSet::new(visible(&*projected, (camera.width, camera.height))?.into_iter()))
     }
 
     pub fn contains(&self, splat: usize) -> bool {

@@ -133,6 +133,10 @@ impl Rasterizer for CpuEngine {
         "cpu"
     }
 
+    fn is_on_host(&self) -> bool {
+        true
+    }
+
     fn project<'a>(
         &'a self,
         splats: &'a Splats,
