@@ -3,6 +3,7 @@
 use crate::settings::{ComponentRule, SegmentSettings, SimilarityUse, Undecided};
 use crate::spread::{Belief, spread};
 use crate::{ClickHit, Evidence, NeighbourGraph, components};
+use rayon::prelude::*;
 use segwild_scene::Splats;
 use std::borrow::Cow;
 
@@ -18,6 +19,9 @@ const BELIEF_COVERAGE: f32 = 0.2;
 /// splat. By choice; twenty times as much is in docs/experiments/2026-11-26-small-coverage.md. IoU by half, half more: 0, 0 on
 /// `sacre_coeur`; +.002, 0 on the demo.
 const RESEMBLANCE_COVERAGE: f32 = 0.1;
+
+/// Splats that one thread weighs at once, at least.
+const CHUNK: usize = 1024;
 
 /// Bins of the similarity from which the prior is learned.
 const BINS: usize = 24;
@@ -102,6 +106,8 @@ impl LabelFusion<'_> {
         };
         let hangs = self.hangs_together(&evidence, &stray, &hint);
         let anchors: Vec<Belief> = (0..n)
+            .into_par_iter()
+            .with_min_len(CHUNK)
             .map(|i| {
                 if self.is_frozen(i) {
                     return Belief { inside: 0.0, weight: 1.0 };
@@ -122,8 +128,10 @@ impl LabelFusion<'_> {
             })
             .collect();
         spread(self.graph, &self.affinities, &anchors, self.settings.spread_decay, steps, &mut beliefs);
-        let hints: Vec<f32> = (0..n).map(hint).collect();
+        let hints: Vec<f32> = (0..n).into_par_iter().with_min_len(CHUNK).map(hint).collect();
         let probability = (0..n)
+            .into_par_iter()
+            .with_min_len(CHUNK)
             .map(|i| if self.is_frozen(i) { 0.0 } else { beliefs[i].probability(hints[i]).clamp(0.0, 1.0) })
             .collect();
         FusionState { evidence, beliefs, probability, hint: hints }
@@ -139,6 +147,8 @@ impl LabelFusion<'_> {
         }
         let SegmentSettings { rho, gamma, least_evidence: least, .. } = *self.settings;
         let inside: Vec<bool> = (0..n)
+            .into_par_iter()
+            .with_min_len(CHUNK)
             .map(|i| !self.is_frozen(i) && evidence.label(i, rho, gamma, least) == Some(true))
             .collect();
         let mut kept = inside.clone();
@@ -215,6 +225,8 @@ impl LabelFusion<'_> {
     pub fn labels(&self, state: &FusionState) -> Vec<bool> {
         let s = self.settings;
         (0..self.graph.len())
+            .into_par_iter()
+            .with_min_len(CHUNK)
             .map(|i| {
                 if self.is_frozen(i) {
                     return false;

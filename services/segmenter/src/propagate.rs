@@ -219,10 +219,10 @@ fn most_known(fusion: &LabelFusion, state: &FusionState, open: &[(usize, Arc<Spl
     let n = state.probability.len();
     let SegmentSettings { rho, gamma, least_evidence, .. } = *fusion.settings;
     let label = |i: usize| state.evidence.label(i, rho, gamma, least_evidence);
-    let object = SplatSet::new((0..n).map(|i| !fusion.is_frozen(i) && label(i) == Some(true)));
+    let object = SplatSet::of(n, |i| !fusion.is_frozen(i) && label(i) == Some(true));
     // Frozen splats count here: a photo of which the object's background is frozen is not the better known for it. Visiting
     // such photos first let the table behind a toy into the selection.
-    let could_be = SplatSet::new((0..n).map(|i| label(i) != Some(false)));
+    let could_be = SplatSet::of(n, |i| label(i) != Some(false));
     let mut shares: Vec<(f32, usize)> = open
         .iter()
         .filter_map(|(view, seen)| {

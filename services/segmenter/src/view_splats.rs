@@ -1,6 +1,7 @@
 //! Which splats each view shows. It depends on the scene alone, so that the first clicks compute it for all that follow.
 
 use crate::coverage::visible;
+use rayon::prelude::*;
 use segwild_flow::lock;
 use segwild_raster::{ProjectOptions, RasterError, Rasterizer};
 use segwild_scene::{Camera, Pose, Splats};
@@ -18,12 +19,13 @@ const MAX_BYTES: usize = 64 << 20;
 pub(crate) struct SplatSet(Vec<u64>);
 
 impl SplatSet {
-    pub fn new(flags: impl ExactSizeIterator<Item = bool>) -> SplatSet {
-        let mut words = vec![0; flags.len().div_ceil(64)];
-        for (i, flag) in flags.enumerate() {
-            words[i / 64] |= u64::from(flag) << (i % 64);
-        }
-        SplatSet(words)
+    /// Those of so many splats that it `holds`.
+    pub fn of(splats: usize, holds: impl Fn(usize) -> bool + Sync) -> SplatSet {
+        let word = |word: usize| {
+            let of_word = 64 * word..splats.min(64 * (word + 1));
+            of_word.fold(0u64, |bits, splat| bits | (u64::from(holds(splat)) << (splat % 64)))
+        };
+        SplatSet((0..splats.div_ceil(64)).into_par_iter().with_min_len(16).map(word).collect())
     }
 
     /// The splats of a scene that a view shows, at the size at which views are compared.
@@ -36,7 +38,8 @@ impl SplatSet {
     ) -> Result<SplatSet, RasterError> {
         let camera = camera.scaled_to(ORDER_SIZE);
         let projected = rasterizer.project(splats, &camera, pose, options)?;
-        Ok(SplatSet::new(visible(&*projected, (camera.width, camera.height))?.into_iter()))
+        let shown = visible(&*projected, (camera.width, camera.height))?;
+        Ok(SplatSet::of(shown.len(), |splat| shown[splat]))
     }
 
     pub fn contains(&self, splat: usize) -> bool {
@@ -99,7 +102,7 @@ mod tests {
             for _ in 0..2 {
                 let set = scene.of(view, || {
                     calls += 1;
-                    Ok::<_, ()>(SplatSet::new((0..100).map(|i| i == view)))
+                    Ok::<_, ()>(SplatSet::of(100, |i| i == view))
                 });
                 assert!(set.is_ok_and(|set| set.contains(view) && !set.contains(view + 1)));
             }
@@ -115,7 +118,7 @@ mod tests {
 
     #[test]
     fn sets_overlap_by_what_both_hold() {
-        let of = |divisor: usize| SplatSet::new((0..200).map(move |i| i % divisor == 0));
+        let of = |divisor: usize| SplatSet::of(200, |i| i % divisor == 0);
         assert_eq!((of(2).overlap(&of(3)), of(7).overlap(&of(7))), (34, 29));
         let seventh: Vec<usize> = (0..400).filter(|&i| of(7).contains(i)).collect();
         assert!(seventh.into_iter().eq((0..200).step_by(7)));
