@@ -19,6 +19,7 @@
 //! ```
 
 mod answer;
+mod kept_masks;
 mod objects;
 mod packed;
 mod resident;

@@ -1,6 +1,7 @@
 //! A run's scene, kept in memory.
 
 use super::answer::{PendingAnswer, failed};
+use super::kept_masks::{KeptMasks, MASK_BYTES};
 use crate::accelerator::leased;
 use crate::artifacts::folder::{Loaded, TrainingSnapshot};
 use crate::artifacts::images::ImageFiles;
@@ -163,14 +164,25 @@ impl Session {
         let views = scene.views.iter().map(|v| PosedView { camera: v.camera.scaled_to(size), ..v.into() });
         let views: Arc<Vec<PosedView>> = Arc::new(views.collect());
         let barred: Arc<Vec<bool>> = Arc::new(scene.views.iter().map(|v| v.test).collect());
-        let skies = Arc::new(skies::of_run(folder, photos.clone(), providers.sky.clone())?);
-        let transients = Arc::new(transients::of_run(folder, &scene));
+        let found = skies::of_run(folder, photos.clone(), providers.sky.clone())?;
+        let kept = KeptMasks::within(MASK_BYTES);
+        // The cache's skies are known by their keys: they stay as they are.
+        let skies = Arc::new(move |view: usize| kept.read(view, (), || found(view)));
+        let found = transients::of_run(folder, &scene);
+        let version = transients::versions_of_run(folder, &scene);
+        let kept = KeptMasks::within(MASK_BYTES);
+        let transients = Arc::new(move |view: usize| match version(view) {
+            Some(version) => kept.read(view, version, || found(view)),
+            None => found(view),
+        });
         let splats = model.splats.clone();
         let (options, segmenter) = (model.options(), providers.segmenter.clone());
         let engine_of_actor = engine.clone();
         let splats_of_actor = splats.clone();
         let tree_of_actor = tree.as_ref().map(|keyed| keyed.tree.clone());
         system.spawn(inbox, ActorOptions { attempts: 1, ..ActorOptions::default() }, move || {
+            let shown = ViewSplats::new(splats_of_actor.len(), views.len());
+            let known = tree_of_actor.as_ref().filter(|tree| tree.shown_by.len() == splats_of_actor.len());
             Ok(SegmentActor {
                 engine: engine_of_actor.clone(),
                 options,

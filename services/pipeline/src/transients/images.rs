@@ -13,6 +13,7 @@ use segwild_trainer::{Model, TrainPhoto};
 use segwild_vision::PromptSegmenter;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::time::SystemTime;
 
 /// Bytes of a mask image at most, for its hash: a photo of 100 megapixels has less.
 const MOST_MASK_BYTES: u64 = 128 << 20;
@@ -28,6 +29,22 @@ pub(crate) fn of_run(
     move |view: usize| {
         let taken = Mask::read_png(&files.find(&own, view)).ok()?;
         Some(views[view].mask_from_taken(taken))
+    }
+}
+
+/// By what a mask image that was read is known to be the same later: its path, length and time.
+pub(crate) type MaskImageVersion = (PathBuf, u64, SystemTime);
+
+/// Returns the versions of what [`of_run`] reads, by view; `None` where there is no image.
+pub(crate) fn versions_of_run(
+    folder: &RunFolder,
+    scene: &Scene,
+) -> impl Fn(usize) -> Option<MaskImageVersion> + Send + Sync + use<> {
+    let (own, files) = (folder.path().join(FOLDER), image_files(scene));
+    move |view: usize| {
+        let path = files.find(&own, view);
+        let data = std::fs::metadata(&path).ok()?;
+        Some((path, data.len(), data.modified().ok()?))
     }
 }
 

@@ -27,7 +27,9 @@ mod visibility;
 
 pub use authorship::TrainFit;
 pub(crate) use corrections::Corrections;
-pub(crate) use images::{TransientMaskWriter, damaged, digest_of_run, of_run, read_image, write_image};
+pub(crate) use images::{
+    TransientMaskWriter, damaged, digest_of_run, of_run, read_image, versions_of_run, write_image,
+};
 pub(crate) use known::KnownTransients;
 pub use scoring::{TransientScore, TransientScores, score_transients};
 pub(crate) use visibility::visibility;
