@@ -99,6 +99,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             prompts: &prompted,
             prior: None,
             features: None,
+            hits: None,
             graph: Some(&graph),
             affinities: None,
             frozen: None,

@@ -1,20 +1,23 @@
 //! The actor of the segmenter. It keeps the scene and its neighbour graph, so that the next click is quick.
 
 use crate::confidence::TreeOpinion;
+use crate::graph::MOST_NEIGHBOURS;
 use crate::photo_agreement::measure;
 use crate::scene_tree::{CorrectedLeaves, GroupCandidate, SceneTree};
 use crate::tree_answer::{self, TreeAnswer};
+use crate::view_splats::SplatSet;
 use crate::{
-    Alternative, AnswerStep, AnswerSteps, MaskReader, NeighbourGraph, PosedView, PromptedView, Refiner,
-    Request, SceneAffinities, SegmentError, SegmentSettings, Selection, SelectionConfidence, SpikeCut,
-    SplatFeatures, ViewSplats, cut, select,
+    Alternative, AnswerStep, AnswerSteps, ClickHits, MaskReader, PosedView, PromptedView, Refiner, Request,
+    SceneGraph, SegmentError, SegmentSettings, Selection, SelectionConfidence, SpikeCut, SplatFeatures,
+    ViewSplats, cut, select,
 };
-use segwild_flow::{Actor, ActorFailure, Context, Message, Phase, Sender, Stopper, lock};
+use segwild_flow::{Actor, ActorFailure, Context, Idle, Message, Phase, Sender, Stopper, lock};
 use segwild_objective::Engine;
 use segwild_raster::ProjectOptions;
 use segwild_scene::{Image, Mask, Prompts, ReaderError, ScoredMask, Splats};
 use segwild_vision::{PromptSegmenter, Prompted};
 use std::collections::HashMap;
+use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard};
 
 /// Reads the photo of a view at the size in which prompts are given.
@@ -91,12 +94,14 @@ pub struct SegmentActor {
     pub segmenter: Arc<dyn PromptSegmenter>,
     /// The scene tree, if there is one.
     pub tree: Option<Arc<SceneTree>>,
-    /// The neighbour graph, made at the first task.
-    pub graph: Option<NeighbourGraph>,
-    /// The affinities of its edges, from the first selection on.
-    pub affinities: SceneAffinities,
+    /// Which splats one photo alone shows, if the scene tree knows it; one flag per splat.
+    pub seen_once: Option<Vec<bool>>,
+    /// The neighbour graph with its affinities, made at the first task, and again where a task's setting needs another.
+    pub graph: SceneGraph,
     /// Which splats each view shows, as far as tasks needed it; `None` where that takes too much memory.
     pub shown: Option<ViewSplats>,
+    /// Views of which that is computed while there is no task, one after the other.
+    pub ahead: Range<usize>,
 }
 
 /// Why a group of the scene tree selects nothing.
@@ -130,10 +135,11 @@ impl SegmentActor {
         if steps.cancelled() {
             return Err(SegmentError::Cancelled);
         }
-        if self.graph.as_ref().is_none_or(|g| g.len() != self.splats.len()) {
+        let neighbours = task.settings.neighbours;
+        // A setting that cannot be used is refused before it needs a graph.
+        if (1..=MOST_NEIGHBOURS).contains(&neighbours) && !self.graph.fits(&self.splats, neighbours) {
             let _zone = context.busy_zone("neighbour graph");
-            self.graph = Some(NeighbourGraph::new(&self.splats, task.settings.neighbours));
-            self.affinities = SceneAffinities::default();
+            self.graph = SceneGraph::new(&self.splats, neighbours);
         }
         let provider = |view: usize, reason: String| SegmentError::Provider {
             photo: self.views.get(view).map_or_else(String::new, |v| v.name.clone()),
@@ -143,8 +149,7 @@ impl SegmentActor {
             |(view, _): &(usize, Prompts)| (self.photos)(*view).map_err(|e| provider(*view, e.to_string()));
         let photos: Vec<Image> = task.prompts.iter().map(read).collect::<Result<_, _>>()?;
         let resident = self.engine.upload_splats(&self.splats).map_err(SegmentError::raster("the scene"))?;
-        let of_scene = self.tree.as_ref().filter(|tree| tree.shown_by.len() == self.splats.len());
-        let seen_once = of_scene.map(|tree| tree.seen_once());
+        let hits = ClickHits::default();
         let blank = Request {
             rasterizer: resident.as_deref().unwrap_or(&*self.engine),
             backend: &*self.engine,
@@ -154,11 +159,12 @@ impl SegmentActor {
             prompts: &[],
             prior: None,
             features: self.features.as_deref(),
-            graph: self.graph.as_ref(),
-            affinities: Some(&self.affinities),
+            hits: Some(&hits),
+            graph: self.graph.graph(),
+            affinities: Some(self.graph.affinities()),
             shown: self.shown.as_ref(),
             frozen: None,
-            seen_once: seen_once.as_deref(),
+            seen_once: self.seen_once.as_deref(),
             skies: Some(&*self.skies),
             transients: Some(&*self.transients),
             steps: Some(&steps),
@@ -242,6 +248,18 @@ impl SegmentActor {
     }
 }
 
+impl SegmentActor {
+    /// Finds what one view shows before a task needs it, on one thread: whoever opens a scene looks at it meanwhile.
+    fn find_shown(&self, view: usize) -> Result<(), String> {
+        let (Some(shown), Some(posed)) = (&self.shown, self.views.get(view)) else { return Ok(()) };
+        let (engine, splats, options) = (&*self.engine, &*self.splats, &self.options);
+        let found = || SplatSet::in_view(engine, splats, options, &posed.camera, &posed.pose);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().map_err(|e| e.to_string())?;
+        let found = pool.install(|| shown.of(view, found));
+        found.map(drop).map_err(|e| e.to_string())
+    }
+}
+
 /// Refines masks on the photos that a selection is carried to.
 struct PhotoRefiner<'a> {
     actor: &'a SegmentActor,
@@ -284,6 +302,19 @@ impl Refiner for PhotoRefiner<'_> {
 
 impl Actor for SegmentActor {
     type Message = SegmentTask;
+
+    /// Prepares the first task, a little at a time: a task that comes meanwhile waits for one view at most.
+    fn on_idle(&mut self, context: &Context) -> Result<Idle, ActorFailure> {
+        let Some(view) = self.ahead.next() else { return Ok(Idle::Wait) };
+        context.progress();
+        self.graph.compare(&self.splats, self.features.as_deref());
+        if let Err(reason) = self.find_shown(view) {
+            // A task computes it again, and reports what fails.
+            tracing::debug!(view, %reason, "what a view shows is not known before the first click");
+            self.ahead = 0..0;
+        }
+        Ok(Idle::Again)
+    }
 
     fn handle(&mut self, task: SegmentTask, context: &Context) -> Result<(), ActorFailure> {
         let answer = self.segment(&task, context).map(Box::new);

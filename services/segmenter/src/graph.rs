@@ -24,6 +24,9 @@ const COLOUR_SIGMA: f32 = 0.25;
 /// 1))`. By choice. IoU by half, half more: 0, 0 on `sacre_coeur`; +.002, 0 on the demo.
 const FEATURE_STEEPNESS: f32 = 4.0;
 
+/// Nearest neighbours of a splat, at most.
+pub(crate) const MOST_NEIGHBOURS: usize = 256;
+
 /// The constant spherical harmonic. It is one unit in the last place above [`segwild_scene::ply::SH0`], so that selections
 /// keep their bytes.
 const SH0: f32 = 0.282_094_8;
@@ -32,6 +35,8 @@ const SH0: f32 = 0.282_094_8;
 /// `offsets[i]..offsets[i + 1]`, its neighbours ascending. Each edge occurs in both rows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NeighbourGraph {
+    /// How many nearest neighbours each splat was linked with.
+    nearest: usize,
     offsets: Vec<u32>,
     neighbours: Vec<u32>,
     distances: Vec<f32>,
@@ -62,6 +67,43 @@ impl SceneAffinities {
         }
         let computed = graph.affinities(splats, field);
         known.get_or_init(|| computed)
+    }
+}
+
+/// The neighbour graph of a scene with its affinities, kept from selection to selection.
+#[derive(Debug, Default)]
+pub struct SceneGraph {
+    /// `None` before the first selection.
+    graph: Option<NeighbourGraph>,
+    affinities: SceneAffinities,
+}
+
+impl SceneGraph {
+    /// Links every splat with its `k` nearest.
+    pub fn new(splats: &Splats, k: usize) -> SceneGraph {
+        SceneGraph { graph: Some(NeighbourGraph::new(splats, k)), affinities: SceneAffinities::default() }
+    }
+
+    /// Whether it links the splats of such a scene with their `k` nearest: another setting needs another graph.
+    pub fn fits(&self, splats: &Splats, k: usize) -> bool {
+        self.graph.as_ref().is_some_and(|graph| graph.len() == splats.len() && graph.nearest == k)
+    }
+
+    /// The graph, if it is made.
+    pub fn graph(&self) -> Option<&NeighbourGraph> {
+        self.graph.as_ref()
+    }
+
+    /// The affinities of its edges, as far as selections needed them.
+    pub fn affinities(&self) -> &SceneAffinities {
+        &self.affinities
+    }
+
+    /// Computes the affinities before a selection needs them.
+    pub(crate) fn compare(&self, splats: &Splats, field: Option<&SplatFeatures>) {
+        if let Some(graph) = &self.graph {
+            self.affinities.of(graph, splats, field);
+        }
     }
 }
 
@@ -103,6 +145,7 @@ impl NeighbourGraph {
             }
         }
         let mut graph = NeighbourGraph {
+            nearest: k,
             offsets: Vec::with_capacity(n + 1),
             neighbours: Vec::with_capacity(edges.len()),
             distances: Vec::with_capacity(edges.len()),
@@ -213,5 +256,21 @@ impl NeighbourGraph {
         let along = (splats.mean(j) - splats.mean(i)) / d;
         let extent = |s: usize| ((splats.rotation(s).transpose() * along) * splats.scale(s)).length();
         d <= MEETING_DEVIATIONS * (extent(i) + extent(j))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_kept_graph_fits_the_setting_that_it_was_made_with() {
+        let means = (0..40).map(|i| [(i % 7) as f32, (i % 5) as f32 * 1.1, i as f32 * 0.3]).collect();
+        let splats = Splats { means, ..Splats::default() };
+        let fewer = Splats { means: splats.means[1..].to_vec(), ..Splats::default() };
+        let kept = SceneGraph::new(&splats, 4);
+        assert!(kept.fits(&splats, 4));
+        assert!(!kept.fits(&splats, 8) && !kept.fits(&fewer, 4));
+        assert!(!SceneGraph::default().fits(&Splats::default(), 4), "none is made yet");
     }
 }

@@ -61,13 +61,13 @@ pub use actor::{PhotoReader, SegmentActor, SegmentReply, SegmentTask, Segmented}
 pub use confidence::{Lopsided, SelectionConfidence, counted};
 pub use coverage::Evidence;
 pub use error::SegmentError;
-pub use graph::{NeighbourGraph, SceneAffinities};
+pub use graph::{NeighbourGraph, SceneAffinities, SceneGraph};
 pub use maxflow::FlowNetwork;
 pub use multi_view_cut::MaskVote;
 pub use object::{MaskMode, SelectedObject, amodal_mask, cut_scene, owned, visible_mask};
 pub use photo_agreement::PhotoAgreement;
 pub use propagate::{PhotoVerdict, PhotoVisit};
-pub use query::{ClickHit, SplatFeatures, SplatFeatures as FeatureField, hit};
+pub use query::{ClickHit, ClickHits, SplatFeatures, SplatFeatures as FeatureField, hit};
 pub use refiner::Refiner;
 pub use request::{MaskReader, PosedView, PromptedView, Request};
 pub use select::{Selection, cut, select};

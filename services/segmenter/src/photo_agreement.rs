@@ -185,6 +185,7 @@ mod tests {
             prompts: &[],
             prior: None,
             features: None,
+            hits: None,
             graph: None,
             affinities: None,
             shown: None,

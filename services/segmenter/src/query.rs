@@ -3,12 +3,14 @@
 use crate::SegmentError;
 use glam::Vec2;
 use rayon::prelude::*;
+use segwild_flow::lock;
 use segwild_objective::FieldBackend;
 use segwild_objective::field::{Queries, dot, score};
 use segwild_raster::{Channels, ProjectOptions, Rasterizer};
 use segwild_scene::half::{from_half, to_half};
 use segwild_scene::{Camera, Image, Pose, Splats};
 use std::any::Any;
+use std::sync::Mutex;
 
 /// Rows that one task scores. Their numbers of 32 bits fit the second-level cache for the usual widths.
 const ROWS: usize = 512;
@@ -218,6 +220,33 @@ impl ClickHit {
         }
         let feature: Vec<f32> = sum.iter().map(|x| (x / weight) as f32).collect();
         (weight > 0.0 && feature.iter().any(|&x| x != 0.0)).then_some(feature)
+    }
+}
+
+/// A view, a position in it by the bits of its numbers, and a window.
+type HitKey = (usize, [u32; 2], u32);
+
+/// What the clicks of one query hit: the scene tree and the selection both need it.
+#[derive(Debug, Default)]
+pub struct ClickHits(Mutex<Vec<(HitKey, ClickHit)>>);
+
+impl ClickHits {
+    /// What a click on a view hits, rendered where that is not known yet.
+    pub(crate) fn of<E>(
+        &self,
+        view: usize,
+        point: Vec2,
+        window: u32,
+        render: impl FnOnce() -> Result<ClickHit, E>,
+    ) -> Result<ClickHit, E> {
+        let key = (view, point.to_array().map(f32::to_bits), window);
+        let known = lock(&self.0).iter().find(|(other, _)| *other == key).map(|(_, hit)| hit.clone());
+        if let Some(hit) = known {
+            return Ok(hit);
+        }
+        let hit = render()?;
+        lock(&self.0).push((key, hit.clone()));
+        Ok(hit)
     }
 }
 

@@ -2,7 +2,8 @@
 
 use crate::steps::AnswerSteps;
 use crate::{
-    Evidence, NeighbourGraph, SceneAffinities, SegmentError, SegmentSettings, SplatFeatures, ViewSplats,
+    ClickHits, Evidence, NeighbourGraph, SceneAffinities, SegmentError, SegmentSettings, SplatFeatures,
+    ViewSplats,
 };
 use rayon::prelude::*;
 use segwild_objective::FieldBackend;
@@ -75,6 +76,8 @@ pub struct Request<'a> {
     pub prior: Option<&'a Evidence>,
     /// One feature vector per splat, if there is a field.
     pub features: Option<&'a SplatFeatures>,
+    /// What clicks of the same query hit, as far as it was rendered; rendered otherwise.
+    pub hits: Option<&'a ClickHits>,
     /// The neighbour graph of the splats, if it is at hand; made otherwise.
     pub graph: Option<&'a NeighbourGraph>,
     /// The affinities of that graph, as far as earlier selections of the scene needed them; computed otherwise.

@@ -3,14 +3,15 @@
 use crate::box_bounds::BoxBounds;
 use crate::coverage::visible;
 use crate::feature_clusters::cluster_features;
+use crate::graph::MOST_NEIGHBOURS;
 use crate::label_fusion::{FusionState, LabelFusion, SPREAD_STEPS, Similarities};
 use crate::photo_evidence::prompted_evidence;
 use crate::request::{PromptedView, Request, project, view, working_camera};
 use crate::settings::{ComponentRule, CutBy, SimilarityUse};
 use crate::steps::AnswerStep;
 use crate::{
-    ClickHit, CutView, Evidence, MaskVote, NeighbourGraph, PhotoVisit, Refiner, SegmentError, SpikeCut,
-    SplatFeatures, components, propagate, seen_once, smooth,
+    ClickHit, CutView, Evidence, MaskVote, NeighbourGraph, PhotoVisit, PosedView, Refiner, SegmentError,
+    SpikeCut, SplatFeatures, components, propagate, seen_once, smooth,
 };
 use glam::Vec2;
 use std::borrow::Cow;
@@ -315,7 +316,7 @@ fn check(request: &Request) -> Result<(), SegmentError> {
             reason: "it is a share, from 0 to 1",
         });
     }
-    if s.neighbours == 0 || s.neighbours > 256 {
+    if s.neighbours == 0 || s.neighbours > MOST_NEIGHBOURS {
         let value = s.neighbours as f64;
         return Err(SegmentError::Setting { name: "neighbours", value, reason: "it must be 1 to 256" });
     }
@@ -342,16 +343,14 @@ pub(crate) fn hits(request: &Request) -> Result<(Vec<ClickHit>, Vec<ClickHit>), 
                 return Err(SegmentError::OutsideFrame { photo, x, y, width, height });
             }
             let window = request.settings.click_window.min(64);
-            let hit = crate::hit(
-                request.rasterizer,
-                request.splats,
-                &request.options,
-                &view.camera,
-                &view.pose,
-                at,
-                window,
-            )
-            .map_err(SegmentError::raster(&view.name))?;
+            let PosedView { camera, pose, .. } = view;
+            let render =
+                || crate::hit(request.rasterizer, request.splats, &request.options, camera, pose, at, window);
+            let hit = match request.hits {
+                Some(known) => known.of(prompt.view, at, window, render),
+                None => render(),
+            };
+            let hit = hit.map_err(SegmentError::raster(&view.name))?;
             if hit.alpha < MIN_CLICK_ALPHA {
                 if point.inside {
                     return Err(SegmentError::EmptySpace { photo, x, y, alpha: hit.alpha });

@@ -6,6 +6,7 @@ use segwild_flow::lock;
 use segwild_raster::{ProjectOptions, RasterError, Rasterizer};
 use segwild_scene::{Camera, Pose, Splats};
 use std::collections::HashMap;
+use std::ops::Range;
 use std::sync::{Arc, Mutex};
 
 /// Long side in pixels at which the views are compared: to select them, and to find a good order.
@@ -13,6 +14,10 @@ const ORDER_SIZE: u32 = 128;
 
 /// Memory for what the views show, at most: a bit per splat and view. What does not fit is computed by each click that needs it.
 const MAX_BYTES: usize = 64 << 20;
+
+/// Photos of a scene up to which what they show is computed before a click needs it: of more, a click compares some (method,
+/// section 6.9).
+const MOST_AHEAD: usize = 128;
 
 /// One bit per splat.
 #[derive(Clone, Debug)]
@@ -68,6 +73,12 @@ impl ViewSplats {
         (most > 0).then(|| ViewSplats { splats, views, most, known: Mutex::default() })
     }
 
+    /// The views of which what they show is worth knowing before the first click: all, or none where they are many or do not
+    /// fit into memory.
+    pub fn ahead(&self) -> Range<usize> {
+        if self.views <= self.most.min(MOST_AHEAD) { 0..self.views } else { 0..0 }
+    }
+
     /// Whether it is of a scene with so many splats and views.
     pub(crate) fn fits(&self, splats: usize, views: usize) -> bool {
         self.splats == splats && self.views == views
@@ -114,6 +125,7 @@ mod tests {
         let calls: Vec<usize> = (0..4).map(|view| computed(&large, view)).collect();
         assert_eq!(calls, [1, 1, 2, 2]);
         assert!(ViewSplats::new(usize::MAX, usize::MAX).is_none());
+        assert_eq!((small.ahead(), large.ahead()), (0..60, 0..0));
     }
 
     #[test]

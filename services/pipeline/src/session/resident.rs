@@ -23,8 +23,8 @@ use segwild_objective::Engine;
 use segwild_scene::{PhotoStore, Prompts, ReaderError, Scene, Splats};
 use segwild_segmenter::scene_tree::{GroupCandidate, SceneTree};
 use segwild_segmenter::{
-    NeighbourGraph, PosedView, SceneAffinities, SegmentActor, SegmentError, SegmentReply, SegmentSettings,
-    SegmentTask, SplatFeatures, ViewSplats,
+    PosedView, SceneGraph, SegmentActor, SegmentError, SegmentReply, SegmentSettings, SegmentTask,
+    SplatFeatures, ViewSplats,
 };
 use segwild_trainer::Model;
 use segwild_vision::Providers;
@@ -40,7 +40,8 @@ pub struct SessionOptions {
     /// Whether clicks are answered from the scene tree. It is read from the run's cache, or grown.
     pub tree: bool,
     /// Neighbours of a splat in the graph that clicks need ([`SegmentSettings::neighbours`]), for a session that has
-    /// many: it is made while the session opens. `None`: by the first click.
+    /// many: it is made while the session opens, and then what each photo shows, until a click comes. `None`: by the first
+    /// click.
     pub neighbours: Option<usize>,
     /// Ends the growing of the tree.
     pub stopper: Stopper,
@@ -195,9 +196,16 @@ impl Session {
                 transients: transients.clone(),
                 segmenter: segmenter.clone(),
                 tree: tree_of_actor.clone(),
-                affinities: SceneAffinities::default(),
-                graph: neighbours.map(|neighbours| NeighbourGraph::new(&splats_of_actor, neighbours)),
-                shown: ViewSplats::new(splats_of_actor.len(), views.len()),
+                seen_once: known.map(|tree| tree.seen_once()),
+                graph: match neighbours {
+                    Some(neighbours) => SceneGraph::new(&splats_of_actor, neighbours),
+                    None => SceneGraph::default(),
+                },
+                ahead: match (&shown, neighbours) {
+                    (Some(shown), Some(_)) => shown.ahead(),
+                    _ => 0..0,
+                },
+                shown,
             })
         })?;
         let files = ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()));

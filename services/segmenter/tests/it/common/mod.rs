@@ -148,6 +148,7 @@ pub fn request<'a>(
         prompts,
         prior: None,
         features: None,
+        hits: None,
         graph: None,
         affinities: None,
         frozen: None,
