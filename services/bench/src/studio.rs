@@ -79,6 +79,8 @@ pub struct StudioFigures {
     pub first_answer_s: Vec<f64>,
     /// Seconds to the last answer.
     pub last_answer_s: Vec<f64>,
+    /// Seconds until it is known how sure that is.
+    pub sure_s: Vec<f64>,
     /// Frames a second.
     pub frames_per_s: f64,
 }
@@ -137,7 +139,7 @@ pub fn studio(target: &StudioTarget) -> Result<StudioFigures, StudioBenchError> 
         let joined = all.into_iter().map(|one| one.join().expect("a client does not panic"));
         joined.collect::<Result<Vec<_>, StudioBenchError>>()
     })?;
-    let (mut first_answer_s, mut last_answer_s) = (Vec::new(), Vec::new());
+    let (mut first_answer_s, mut last_answer_s, mut sure_s) = (Vec::new(), Vec::new(), Vec::new());
     for part in description["listed"].as_array().into_iter().flatten().take(CLICKED) {
         let photo = part["photo"].as_u64().unwrap_or(0) as usize;
         let Some(shown) = photos.get(photo) else {
@@ -148,9 +150,10 @@ pub fn studio(target: &StudioTarget) -> Result<StudioFigures, StudioBenchError> 
         };
         let Some([x, y]) = client.pixel_of(part, shown)? else { continue };
         let prompt = json!({ "photo": photo, "points": [{ "x": x, "y": y, "inside": true }] });
-        let (first, last) = client.click(&prompt)?;
-        first_answer_s.push(first);
-        last_answer_s.push(last);
+        let timed = client.click(&prompt)?;
+        first_answer_s.push(timed.first_s);
+        last_answer_s.push(timed.last_s);
+        sure_s.push(timed.sure_s);
     }
     let frames = Instant::now();
     for k in 0..FRAMES {
@@ -165,6 +168,7 @@ pub fn studio(target: &StudioTarget) -> Result<StudioFigures, StudioBenchError> 
         crowd_ms: crowd_ms.concat(),
         first_answer_s,
         last_answer_s,
+        sure_s,
         frames_per_s: FRAMES as f64 / frames.elapsed().as_secs_f64(),
     })
 }
@@ -174,10 +178,10 @@ pub fn page(rows: &[StudioRow], made: &Provenance) -> String {
     let mut text = format!(
         "# What a person waits for on the page (built-in)\n\nThis page is generated. {}\n\nTimes are those of requests to a server in the same \
          process, over HTTP, without a browser: median, and in brackets the slowest. *Hover*: the candidate under the pointer, in photos that \
-         were opened before. *First answer*: from a click to splats that can be shown; *last*: refined by all photos. Clicks are on the parts \
+         were opened before. *First answer*: from a click to splats that can be shown; *last*: refined by all photos; *sure*: until it is known how sure that is. Clicks are on the parts \
          that the scene lists. Memory is the most that the process had so far, over all runs above. Frames have {} x {} pixels and are rendered by the server.\n\n\
          | run | splats | photos | s to the first photo | to the first frame | ms of a hover | of {} clients that hover at once | s to the first \
-         answer | to the last | frames a second | MiB | of the run's own |\n|---|---:|---:|---:|---:|---|---|---|---|---:|---:|---:|\n",
+         answer | to the last | to how sure it is | frames a second | MiB | of the run's own |\n|---|---:|---:|---:|---:|---|---|---|---|---|---:|---:|---:|\n",
         stamp::stamp(made, &["built-in"]),
         FRAME[0],
         FRAME[1],
@@ -203,7 +207,7 @@ fn write_row(row: &StudioRow, text: &mut String) {
     let figures = &row.figures;
     let _ = writeln!(
         text,
-        "| {} | {} | {} | {:.2} | {:.2} | {} | {} | {} | {} | {:.1} | {} | {} |",
+        "| {} | {} | {} | {:.2} | {:.2} | {} | {} | {} | {} | {} | {:.1} | {} | {} |",
         row.run,
         figures.splats,
         figures.photos,
@@ -213,6 +217,7 @@ fn write_row(row: &StudioRow, text: &mut String) {
         spread(&figures.crowd_ms, 0),
         spread(&figures.first_answer_s, 2),
         spread(&figures.last_answer_s, 1),
+        spread(&figures.sure_s, 1),
         figures.frames_per_s,
         number(here, 0),
         number(here.zip(own).map(|(here, own)| here / own), 2),
@@ -232,6 +237,16 @@ fn scaled(camera: &Value) -> Value {
 
 fn refused(path: &str, reason: impl Into<String>) -> StudioBenchError {
     StudioBenchError::Answer { path: path.to_owned(), reason: reason.into() }
+}
+
+/// Seconds from a click to its answers.
+struct ClickTimes {
+    /// To the first.
+    first_s: f64,
+    /// To the last.
+    last_s: f64,
+    /// Until it is known how sure the last is.
+    sure_s: f64,
 }
 
 /// A client of the server.
@@ -314,29 +329,34 @@ impl StudioClient<'_> {
         Ok((best.0 > 0).then(|| [share(column, "width"), share(row, "height")]))
     }
 
-    /// Waits for the present answer; seconds until there were splats, and until it was the last.
-    fn wait(&self) -> Result<(Option<f64>, f64), StudioBenchError> {
-        let (began, mut first) = (Instant::now(), None);
+    /// Waits until the present answer is done.
+    fn wait(&self) -> Result<ClickTimes, StudioBenchError> {
+        let (began, mut first, mut last) = (Instant::now(), None, None);
         while began.elapsed() < LONGEST {
             let state = self.get_json("state")?;
             let answer = &state["answer"];
             if answer["splats"].as_u64().unwrap_or(0) > 0 {
                 first.get_or_insert(began.elapsed().as_secs_f64());
             }
+            let now = began.elapsed().as_secs_f64();
+            if answer["step"] == "selected" {
+                last.get_or_insert(now);
+            }
             if answer["state"] != "working" {
-                return Ok((first, began.elapsed().as_secs_f64()));
+                let [first_s, last_s] = [first, last].map(|at| at.unwrap_or(now));
+                return Ok(ClickTimes { first_s, last_s, sure_s: now });
             }
             std::thread::park_timeout(Duration::from_millis(2));
         }
         Err(StudioBenchError::Late("the answer"))
     }
 
-    /// Clicks; seconds to the first answer and to the last.
-    fn click(&self, prompt: &Value) -> Result<(f64, f64), StudioBenchError> {
+    /// Clicks, and waits for the answers.
+    fn click(&self, prompt: &Value) -> Result<ClickTimes, StudioBenchError> {
         self.post("act", &json!({ "do": "prompt", "prompts": [prompt] }))?;
-        let (first, last) = self.wait()?;
+        let times = self.wait()?;
         self.post("act", &json!({ "do": "prompt", "prompts": [] }))?;
-        Ok((first.unwrap_or(last), last))
+        Ok(times)
     }
 }
 
@@ -393,11 +413,12 @@ mod tests {
             crowd_ms: Vec::new(),
             first_answer_s: Vec::new(),
             last_answer_s: Vec::new(),
+            sure_s: Vec::new(),
             frames_per_s: 24.0,
         };
         let row = StudioRow { run: "trevi".into(), figures, memory: [Some(3 << 20), Some(6 << 20)] };
         let text = page(&[row], &Provenance::default());
-        let row = "| trevi | 7 | 3 | 0.50 | 1.00 | 2 (3) | - | - | - | 24.0 | 3 | 0.50 |\n";
+        let row = "| trevi | 7 | 3 | 0.50 | 1.00 | 2 (3) | - | - | - | - | 24.0 | 3 | 0.50 |\n";
         assert!(text.ends_with(row), "{text}");
     }
 }

@@ -231,6 +231,9 @@ impl SegmentActor {
         let refiner = PhotoRefiner { actor: self, context, prepared: Mutex::default() };
         let selection = select(&request, Some(&refiner))?;
         let cut = cut(&request, &selection)?;
+        let mut labels = selection.labels.clone();
+        cut.trim(&mut labels);
+        steps.publish(AnswerStep::Selected, labels);
         let masks = match group {
             Some(group) => group.masks,
             None => own.into_iter().map(|found| Some(found.answer)).collect(),

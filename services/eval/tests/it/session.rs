@@ -7,6 +7,7 @@ use segwild_pipeline::{
     AnswerStep, PhotoPrompts, Preset, RunError, Session, SessionOptions, Settings, segment,
 };
 use segwild_scene::Prompts;
+use segwild_segmenter::SegmentSettings;
 use segwild_synthetic::{ObjectKind, SyntheticOptions};
 
 #[test]
@@ -53,6 +54,9 @@ fn one_session_answers_many_clicks_in_steps_and_saves_what_one_command_saves() {
     assert!(names.is_sorted() && names.contains(&AnswerStep::Prompted), "{names:?}");
     assert!(names.contains(&AnswerStep::Photos(8)), "{names:?}");
     assert!(steps.iter().all(|(_, splats)| *splats > 0), "{steps:?}");
+    // The splats of the last answer are there before it is known how sure it is.
+    let selected = Session::selected(&first).labels.iter().filter(|label| **label).count();
+    assert_eq!(steps.last(), Some(&(AnswerStep::Selected, selected)), "{steps:?}");
     session.save("first", &first).unwrap();
     session.save("second", &second.wait(|_, _| ()).unwrap()).unwrap();
     // One command at a time gives the same.
@@ -68,4 +72,14 @@ fn one_session_answers_many_clicks_in_steps_and_saves_what_one_command_saves() {
     assert!(session.ask(&[nowhere][..].into(), &settings.segment, &stays).is_err());
     let again = ask(&clicks[0], &stays).wait(|_, _| ()).unwrap();
     assert!(again.segmented.selection == first.segmented.selection);
+    // A setting of the neighbour graph holds for the click that names it, and for no later one.
+    let few = SegmentSettings { neighbours: 3, ..settings.segment.clone() };
+    let selection = |session: &Session, settings: &SegmentSettings| {
+        let pending = session.ask(&std::slice::from_ref(&clicks[0]).into(), settings, &stays).unwrap();
+        pending.wait(|_, _| ()).unwrap().segmented.selection
+    };
+    let fresh = Session::open(trial.folder(), SessionOptions::default()).unwrap();
+    let with_few = selection(&session, &few);
+    assert!(with_few == selection(&fresh, &few) && with_few != first.segmented.selection);
+    assert!(selection(&session, &settings.segment) == first.segmented.selection);
 }

@@ -130,6 +130,7 @@ fn step(step: AnswerStep) -> v1::AnswerStep {
         AnswerStep::Tree => Case::Tree(v1::Nothing {}),
         AnswerStep::Prompted => Case::Prompted(v1::Nothing {}),
         AnswerStep::Photos(photos) => Case::Photos(small(photos)),
+        AnswerStep::Selected => Case::Selected(v1::Nothing {}),
     };
     v1::AnswerStep { case: Some(case) }
 }

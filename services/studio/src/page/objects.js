@@ -57,7 +57,7 @@ export class Side {
 
   /** In words, what an answer comes from. @param {any} step @param {string} state */
   step(step, state) {
-    if (state === "done") return text("step_all");
+    if (state === "done" || step === "selected") return text("step_all");
     if (step && typeof step === "object") return text("step_photos", step.photos);
     return step ? text(`step_${step}`) : text("step_none");
   }
@@ -87,11 +87,13 @@ export class Side {
       if (state.undo === "prompt") parts.push(button(text("take_back"), text("take_back"), () => app.do("undo"), { id: "take-back" }));
     }
     else {
-      const busy = answer.state === "working";
-      parts.push(element("p", { className: busy ? "busy" : "" }, text(answer.state, this.step(answer.step, answer.state))));
+      // The object is the last one while it is being computed how sure it is.
+      const measured = answer.state === "done", busy = !measured && answer.step !== "selected";
+      parts.push(element("p", { className: busy ? "busy" : "" }, text(busy ? "working" : "done", this.step(answer.step, answer.state))));
       if (answer.splats) parts.push(element("p", { className: "quiet" }, text("splats", answer.splats, answer.seconds.toFixed(2))));
       if (!busy) parts.push(element("p", { className: "quiet" }, text("done_how")));
       if (answer.confidence) parts.push(element("p", { className: "quiet", id: "sure" }, this.sure(answer.confidence)));
+      else if (!busy && !measured) parts.push(element("p", { className: "quiet busy" }, text("sure_soon")));
     }
     if (answer.state !== "none") {
       const keep = button(text("keep"), text("keep"), () => app.do("keep"), { id: "keep", className: "main", disabled: !answer.splats });

@@ -20,7 +20,7 @@ export const strings = {
   empty: "Click an object in the photo: left inside, right outside, or drag a box around it.",
   refining: "Prompts of “{0}” are taken up again.",
   working: "Working: {0}", done: "Ready: {0}", failed: "No answer: {0}", splats: "{0} splats, {1} s",
-  sure: "{0} % sure.", lopsided_disagrees: "{0} % sure: its other side fits less.", lopsided_unseen: "{0} % sure: its other side was hardly checked.",
+  sure: "{0} % sure.", sure_soon: "How sure it is follows.", lopsided_disagrees: "{0} % sure: its other side fits less.", lopsided_unseen: "{0} % sure: its other side was hardly checked.",
   next_click: "One more click helps most in {0}.",
   step_none: "first answer", step_tree: "the scene's tree", step_prompted: "this photo", step_photos: "{0} photos", step_all: "all photos",
   keep: "Keep (Enter)", drop: "Drop (Esc)", level: "Part to whole", level_auto: "automatic", alternatives: "It may also mean",
