@@ -68,6 +68,10 @@ impl PromptSegmenter for CountedProviders {
         self.1.one();
         self.0.segmenter.refine(image, certainty)
     }
+    fn refined_mask(&self, image: &Image, certainty: &Image) -> Result<(Mask, f32), VisionError> {
+        self.1.one();
+        self.0.segmenter.refined_mask(image, certainty)
+    }
     fn finds_objects(&self) -> bool {
         self.0.segmenter.finds_objects()
     }

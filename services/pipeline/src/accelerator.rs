@@ -90,6 +90,10 @@ impl PromptSegmenter for Leased<dyn PromptSegmenter> {
         let _held = accelerator().acquire_urgent("a selection");
         self.0.refine(image, certainty)
     }
+    fn refined_mask(&self, image: &Image, certainty: &Image) -> Result<(Mask, f32), VisionError> {
+        let _held = accelerator().acquire_urgent("a selection");
+        self.0.refined_mask(image, certainty)
+    }
     fn finds_objects(&self) -> bool {
         self.0.finds_objects()
     }

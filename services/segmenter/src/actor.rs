@@ -287,8 +287,8 @@ impl Refiner for PhotoRefiner<'_> {
         let read = self.prepared().remove(&view);
         let photo = read.or_else(|| self.read(view))?;
         let wide = certainty.resized(photo.width, photo.height);
-        let refined = self.actor.segmenter.refine(&photo, &wide).ok()?;
-        Some((refined.mask, refined.predicted_iou.clamp(0.0, 1.0)))
+        let (mask, predicted_iou) = self.actor.segmenter.refined_mask(&photo, &wide).ok()?;
+        Some((mask, predicted_iou.clamp(0.0, 1.0)))
     }
 
     fn answers(&self, view: usize) -> bool {

@@ -178,6 +178,12 @@ pub trait PromptSegmenter: Send + Sync {
     /// Snaps a rough mask (a rendered selection, say) to the image's own boundaries. `certainty` has one
     /// number per pixel in [0, 1]: how likely the pixel belongs to the object.
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError>;
+    /// The mask of [`PromptSegmenter::refine`] and its predicted IoU, for those who refine many photos and need not know how
+    /// stable their masks are.
+    fn refined_mask(&self, image: &Image, certainty: &Image) -> Result<(Mask, f32), VisionError> {
+        let ScoredMask { mask, predicted_iou, .. } = self.refine(image, certainty)?;
+        Ok((mask, predicted_iou))
+    }
     /// Whether it finds whole objects by itself, as SAM does. Its prompted masks then come before the groups of the scene tree, and
     /// the tree is grown from the outlines of automatic masks (docs/method.md, section 13). Otherwise it has boundary strengths.
     fn finds_objects(&self) -> bool {

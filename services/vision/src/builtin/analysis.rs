@@ -98,9 +98,11 @@ fn fine(lab: &Lab, strength: &FloatPlane) -> FloatPlane {
 impl Weighed for Analysis {
     fn bytes(&self) -> usize {
         let labels = size_of_val(&*self.tree.labels);
-        // As if all trees were there, as they may soon be.
-        let nodes = self.tree.nodes.len() * (1 + MergeWeights::others().len());
-        labels + nodes * size_of::<RegionNode>() + size_of_val(&*self.tree.borders)
+        let nodes = self.tree.nodes.len() * size_of::<RegionNode>();
+        // As if all trees were there, as they may soon be; but photos that are refined are many, and few of them are clicked.
+        let (trees, colours) = (nodes * MergeWeights::others().len(), self.samples.nearby_bytes());
+        let more = if self.others.get().is_some() { trees + colours } else { trees.max(colours) };
+        labels + nodes + size_of_val(&*self.tree.borders) + more
     }
 }
 

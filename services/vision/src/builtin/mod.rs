@@ -284,6 +284,15 @@ impl Builtin {
         Ok(done)
     }
 
+    /// The analysis of a photo, and a certainty at its size.
+    fn guess(&self, image: &Image, certainty: &Image) -> Result<(Arc<Analysis>, FloatPlane), VisionError> {
+        crate::provider::check_certainty(image, certainty)?;
+        let analysis = self.analysis(image)?;
+        let plane = FloatPlane::new(image.width, image.height, certainty.plane(0).to_vec());
+        let plane = plane.pooled_to(analysis.tree.width, analysis.tree.height);
+        Ok((analysis, plane))
+    }
+
     /// The edge network's output for a photo at analysis size; `None` without a network.
     fn strength(&self, image: &Image, key: blake3::Hash) -> Result<Option<FloatPlane>, VisionError> {
         let Some(edges) = &self.edges else { return Ok(None) };
@@ -338,11 +347,11 @@ pub(crate) fn content(image: &Image) -> blake3::Hash {
     for n in [image.width, image.height, image.channels] {
         hasher.update(&(n as u64).to_le_bytes());
     }
-    let mut bytes = Vec::with_capacity(4 * 4096);
-    for chunk in image.data.chunks(4096) {
-        bytes.clear();
-        chunk.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
-        hasher.update(&bytes);
+    let mut bytes = [[0; 4]; 4096];
+    for chunk in image.data.chunks(bytes.len()) {
+        let of_chunk = &mut bytes[..chunk.len()];
+        of_chunk.iter_mut().zip(chunk).for_each(|(bytes, v)| *bytes = v.to_le_bytes());
+        hasher.update(of_chunk.as_flattened());
     }
     hasher.finalize()
 }
@@ -359,12 +368,14 @@ fn fitted(image: &Image) -> Result<Cow<'_, Image>, VisionError> {
 }
 
 /// A mask at the size of the queried photo.
-fn at_size_of(image: &Image, mut answer: ScoredMask) -> ScoredMask {
+fn at_size_of(image: &Image, answer: ScoredMask) -> ScoredMask {
+    ScoredMask { mask: at_size(image, answer.mask), ..answer }
+}
+
+/// The same of a mask alone.
+fn at_size(image: &Image, mask: Mask) -> Mask {
     let (w, h) = (image.width as u32, image.height as u32);
-    if (answer.mask.width(), answer.mask.height()) != (w, h) {
-        answer.mask = answer.mask.resized(w, h);
-    }
-    answer
+    if (mask.width(), mask.height()) == (w, h) { mask } else { mask.resized(w, h) }
 }
 
 impl Embedder for Builtin {
@@ -401,11 +412,14 @@ impl PromptSegmenter for Builtin {
     }
 
     fn refine(&self, image: &Image, certainty: &Image) -> Result<ScoredMask, VisionError> {
-        crate::provider::check_certainty(image, certainty)?;
-        let analysis = self.analysis(image)?;
-        let plane = FloatPlane::new(image.width, image.height, certainty.plane(0).to_vec());
-        let plane = plane.pooled_to(analysis.tree.width, analysis.tree.height);
+        let (analysis, plane) = self.guess(image, certainty)?;
         Ok(at_size_of(image, refine::snap(&analysis, &plane.data)))
+    }
+
+    fn refined_mask(&self, image: &Image, certainty: &Image) -> Result<(Mask, f32), VisionError> {
+        let (analysis, plane) = self.guess(image, certainty)?;
+        let (mask, predicted_iou, _) = refine::snapped(&analysis, &plane.data);
+        Ok((at_size(image, mask), predicted_iou))
     }
 
     fn finds_objects(&self) -> bool {

@@ -3,7 +3,7 @@
 use super::analysis::Analysis;
 use super::cut::GraphCut;
 use super::plane::FloatPlane;
-use segwild_scene::{ScoredMask, logit, sigmoid};
+use segwild_scene::{Mask, ScoredMask, logit, sigmoid};
 
 /// The energy of the cut.
 pub(crate) struct Energy {
@@ -37,6 +37,13 @@ const SMOOTH: f32 = 2.0;
 
 /// The mask that a rough certainty (one number in [0, 1] per pixel) means.
 pub(crate) fn snap(analysis: &Analysis, certainty: &[f32]) -> ScoredMask {
+    let (mask, predicted_iou, energy) = snapped(analysis, certainty);
+    let (strict, loose) = (cut(analysis, &energy, -1.0), cut(analysis, &energy, 1.0));
+    ScoredMask { stability: iou_of(analysis, &strict, &loose), predicted_iou, mask }
+}
+
+/// The mask of [`snap`] with its predicted IoU, and the energy that it minimises.
+pub(crate) fn snapped(analysis: &Analysis, certainty: &[f32]) -> (Mask, f32, Energy) {
     let tree = &analysis.tree;
     let clean: Vec<f32> =
         certainty.iter().map(|&c| if c.is_finite() { c.clamp(0.0, 1.0) } else { 0.0 }).collect();
@@ -47,7 +54,7 @@ pub(crate) fn snap(analysis: &Analysis, certainty: &[f32]) -> ScoredMask {
     let prior: Vec<f32> = own.iter().zip(&far).map(|(a, b)| 0.8 * a + 0.2 * b).collect();
     // Superpixels that are surely inside or outside teach the colours.
     let weight: Vec<f32> = prior.iter().map(|p| (2.0 * (p - 0.5).abs()).powi(2)).collect();
-    let colour = analysis.samples.posterior(&prior, &weight, 0.05);
+    let colour = analysis.samples.posterior_nearby(&prior, &weight);
     let inside = prior
         .iter()
         .zip(&colour)
@@ -57,9 +64,7 @@ pub(crate) fn snap(analysis: &Analysis, certainty: &[f32]) -> ScoredMask {
         })
         .collect();
     let energy = Energy { inside, smooth: SMOOTH };
-    let labels = cut(analysis, &energy, 0.0);
-    let (strict, loose) = (cut(analysis, &energy, -1.0), cut(analysis, &energy, 1.0));
-    let mask = tree.mask(&labels);
+    let mask = tree.mask(&cut(analysis, &energy, 0.0));
     // The soft IoU with the certainty is the best estimate of the IoU with the true mask.
     let (mut both, mut either) = (0.0, 0.0);
     for (i, &c) in clean.iter().enumerate() {
@@ -67,11 +72,8 @@ pub(crate) fn snap(analysis: &Analysis, certainty: &[f32]) -> ScoredMask {
         both += m.min(c);
         either += m.max(c);
     }
-    ScoredMask {
-        stability: iou_of(analysis, &strict, &loose),
-        predicted_iou: if either > 0.0 { both / either } else { 1.0 },
-        mask,
-    }
+    let predicted_iou = if either > 0.0 { both / either } else { 1.0 };
+    (mask, predicted_iou, energy)
 }
 
 /// IoU of two labellings of the superpixels; 1 when both are empty.
