@@ -22,6 +22,10 @@ const MIN_ALPHA_AROUND: f32 = 0.02;
 pub(crate) fn complete(certainty: &mut Image, alpha: &Image, sky: &Mask) -> Vec<f32> {
     let (w, h) = (certainty.width, certainty.height);
     let sky = sky.resized(w as u32, h as u32);
+    if sky.is_empty() {
+        // Nothing stands before the sky.
+        return vec![0.0; w * h];
+    }
     let r = ((WINDOW * (w as f32).hypot(h as f32)).round() as usize).max(1);
     let around = |values: &[f32]| box_mean(&box_mean(values, w, h, r), w, h, r);
     let open: Vec<f32> = (0..w * h).map(|i| f32::from(u8::from(sky.index(i)))).collect();

@@ -31,6 +31,8 @@ pub(crate) struct Ground<'a> {
     pub analysis: &'a Analysis,
     pub positions: SuperpixelPositions,
     pub samples: &'a ColourSamples,
+    /// Pixels of every superpixel.
+    pub areas: Vec<f32>,
     /// Cost per pixel side of passing over every border of the tree.
     pub open: Vec<f32>,
     /// Neighbours of every superpixel.
@@ -62,6 +64,7 @@ impl<'a> Ground<'a> {
             around,
             positions: SuperpixelPositions::of(analysis),
             samples: &analysis.samples,
+            areas: analysis.tree.nodes[..analysis.tree.leaves].iter().map(|node| node.area).collect(),
             open: openness(&analysis.tree),
         }
     }
@@ -94,6 +97,7 @@ impl<'a> Ground<'a> {
                     if a == pair[0] { b } else { a }
                 })
                 .collect();
+            let touching = first_touching(tree, &parts);
             for (r, &region) in chain.iter().enumerate() {
                 let area = tree.nodes[region as usize].area;
                 if area < WHOLE[0] * total || area > WHOLE[1] * total {
@@ -105,7 +109,7 @@ impl<'a> Ground<'a> {
                         continue;
                     }
                     // The last part taken away, or the next one added, gives a region of the chain itself.
-                    if q > r && touch(tree, region, part) {
+                    if q > r && touching[q] <= r {
                         let mut inside = set_of(tree, region);
                         tree.leaves_of(part).iter().for_each(|&l| inside[l as usize] = true);
                         keep(inside, 0.0);
@@ -127,7 +131,7 @@ impl<'a> Ground<'a> {
 
     /// Pixels of a set.
     pub fn area(&self, inside: &[bool]) -> f32 {
-        self.analysis.tree.nodes.iter().zip(inside).map(|(n, &i)| if i { n.area } else { 0.0 }).sum()
+        self.areas.iter().zip(inside).map(|(&area, &i)| if i { area } else { 0.0 }).sum()
     }
 }
 
@@ -138,9 +142,21 @@ pub(crate) fn set_of(tree: &Hierarchy, region: u32) -> Vec<bool> {
     inside
 }
 
-/// Whether two regions share a border.
-fn touch(tree: &Hierarchy, a: u32, b: u32) -> bool {
-    tree.borders
-        .iter()
-        .any(|&(p, q, _)| (tree.holds(a, p) && tree.holds(b, q)) || (tree.holds(a, q) && tree.holds(b, p)))
+/// For each part that a chain of regions from a superpixel on joins, the number of the chain's first region that shares a border
+/// with it.
+fn first_touching(tree: &Hierarchy, parts: &[u32]) -> Vec<usize> {
+    // The number of the first region that holds each superpixel: part q makes region q + 1 of region q.
+    let mut held_from = vec![0; tree.leaves];
+    for (q, &part) in parts.iter().enumerate() {
+        tree.leaves_of(part).iter().for_each(|&leaf| held_from[leaf as usize] = q + 1);
+    }
+    let mut first = vec![usize::MAX; parts.len()];
+    for &(a, b, _) in tree.borders.iter() {
+        let (a, b) = (held_from[a as usize], held_from[b as usize]);
+        if a != b {
+            let part = &mut first[a.max(b) - 1];
+            *part = a.min(b).min(*part);
+        }
+    }
+    first
 }

@@ -78,10 +78,15 @@ pub(crate) fn snapped(analysis: &Analysis, certainty: &[f32]) -> (Mask, f32, Ene
 
 /// IoU of two labellings of the superpixels; 1 when both are empty.
 pub(crate) fn iou_of(analysis: &Analysis, a: &[bool], b: &[bool]) -> f32 {
+    iou_by(analysis.tree.nodes.iter().map(|node| node.area), a, b)
+}
+
+/// The same with the superpixels' areas.
+pub(crate) fn iou_by(areas: impl Iterator<Item = f32>, a: &[bool], b: &[bool]) -> f32 {
     let (mut both, mut either) = (0.0, 0.0);
-    for (node, (&a, &b)) in analysis.tree.nodes.iter().zip(a.iter().zip(b)) {
-        both += if a && b { node.area } else { 0.0 };
-        either += if a || b { node.area } else { 0.0 };
+    for (area, (&a, &b)) in areas.zip(a.iter().zip(b)) {
+        both += if a && b { area } else { 0.0 };
+        either += if a || b { area } else { 0.0 };
     }
     if either > 0.0 { both / either } else { 1.0 }
 }

@@ -6,7 +6,7 @@
 use super::cut::GraphCut;
 use super::memory::Weighed;
 use super::pool::{Ground, RegionSet};
-use super::refine::iou_of;
+use super::refine::iou_by;
 use super::traits::{Around, COUNT, CandidateSource, PromptStep, TraitInputs, traits};
 use super::weights::TraitWeights;
 use segwild_scene::logit;
@@ -174,19 +174,16 @@ pub(crate) fn candidate_masks(
     );
     let area = ground.area(before);
     let candidate_mask = |o: Next| {
-        let changed: Vec<bool> = match step {
-            PromptStep::First | PromptStep::Boxed => o.set.clone(),
-            PromptStep::Add => o.set.iter().zip(before).map(|(s, b)| *s && !*b).collect(),
-            PromptStep::Remove => o.set.iter().zip(before).map(|(s, b)| !*s && *b).collect(),
+        // What changes, and what changes against the click's direction; the first answer is a change itself.
+        let changes = match step {
+            PromptStep::First | PromptStep::Boxed => None,
+            PromptStep::Add => Some([without(&o.set, before), without(before, &o.set)]),
+            PromptStep::Remove => Some([without(before, &o.set), without(&o.set, before)]),
         };
-        let against: Vec<bool> = match step {
-            PromptStep::Add => o.set.iter().zip(before).map(|(s, b)| !*s && *b).collect(),
-            PromptStep::Remove => o.set.iter().zip(before).map(|(s, b)| *s && !*b).collect(),
-            _ => vec![false; o.set.len()],
-        };
-        let undone = ground.area(&against) / area.max(1.0);
+        let undone = changes.as_ref().map_or(0.0, |[_, against]| ground.area(against) / area.max(1.0));
         let whole = ground.region_set(o.set);
-        let part = ground.region_set(changed);
+        let changed = changes.map(|[changed, _]| ground.region_set(changed));
+        let part = changed.as_ref().unwrap_or(&whole);
         let tight = rules.bounds.map_or(0.0, |b| whole.shape.tightness(b));
         let candidate = TraitInputs {
             whole: &whole.shape,
@@ -201,6 +198,11 @@ pub(crate) fn candidate_masks(
         CandidateMask { traits: traits(&candidate, &around), region_set: whole }
     };
     options.into_iter().map(candidate_mask).collect()
+}
+
+/// What one set holds and another does not.
+fn without(set: &[bool], other: &[bool]) -> Vec<bool> {
+    set.iter().zip(other).map(|(s, o)| *s && !*o).collect()
 }
 
 /// The candidate of the highest expected IoU: the one that agrees best with all likely candidates.
@@ -219,11 +221,19 @@ pub(crate) fn choose(
     let top = scored[0].0;
     let weights: Vec<f32> = scored.iter().map(|s| (s.0 - top).exp()).collect();
     let sum: f32 = weights.iter().sum::<f32>().max(1e-9);
+    // The IoU of two sets is the same either way.
+    let mut ious = vec![vec![1.0; scored.len()]; scored.len()];
+    for i in 0..scored.len() {
+        for j in 0..i {
+            let iou = iou_by(ground.areas.iter().copied(), &scored[i].1.inside, &scored[j].1.inside);
+            (ious[i][j], ious[j][i]) = (iou, iou);
+        }
+    }
     let mut best = (f32::MIN, 0.0, 0);
     for i in 0..scored.len() {
         let (mut expected, mut alike) = (0.0, 0.0);
         for (j, w) in weights.iter().enumerate() {
-            let iou = iou_of(ground.analysis, &scored[i].1.inside, &scored[j].1.inside);
+            let iou = ious[i][j];
             expected += w / sum * iou;
             alike += if iou >= 0.75 { w / sum } else { 0.0 };
         }
