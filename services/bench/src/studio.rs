@@ -178,8 +178,9 @@ pub fn page(rows: &[StudioRow], made: &Provenance) -> String {
     let mut text = format!(
         "# What a person waits for on the page (built-in)\n\nThis page is generated. {}\n\nTimes are those of requests to a server in the same \
          process, over HTTP, without a browser: median, and in brackets the slowest. *Hover*: the candidate under the pointer, in photos that \
-         were opened before. *First answer*: from a click to splats that can be shown; *last*: refined by all photos; *sure*: until it is known how sure that is. Clicks are on the parts \
-         that the scene lists. Memory is the most that the process had so far, over all runs above. Frames have {} x {} pixels and are rendered by the server.\n\n\
+         were opened before. *First answer*: from a click to splats that can be shown; *last*: refined by all photos; \
+         *how sure*: until that is known of it. Clicks are on the parts that the scene lists. Memory is the most that the process had so far, \
+         over all runs above. Frames have {} x {} pixels and are rendered by the server.\n\n\
          | run | splats | photos | s to the first photo | to the first frame | ms of a hover | of {} clients that hover at once | s to the first \
          answer | to the last | to how sure it is | frames a second | MiB | of the run's own |\n|---|---:|---:|---:|---:|---|---|---|---|---|---:|---:|---:|\n",
         stamp::stamp(made, &["built-in"]),
