@@ -64,6 +64,9 @@ pub struct Segmented {
 pub enum SegmentReply {
     /// An earlier answer: whether each splat belongs to the object. Left out where the mailbox is full.
     Step(AnswerStep, Vec<bool>),
+    /// The labels of the last one, and its spikes, cut, before it is known how sure it is ([`AnswerStep::Selected`]). Left out
+    /// where the mailbox is full.
+    Selected(Vec<bool>, SpikeCut),
     /// The last one.
     Done(Result<Box<Segmented>, SegmentError>),
 }
@@ -231,9 +234,8 @@ impl SegmentActor {
         let refiner = PhotoRefiner { actor: self, context, prepared: Mutex::default() };
         let selection = select(&request, Some(&refiner))?;
         let cut = cut(&request, &selection)?;
-        let mut labels = selection.labels.clone();
-        cut.trim(&mut labels);
-        steps.publish(AnswerStep::Selected, labels);
+        // The object is complete. The receiver may be late: the last answer has it as well.
+        let _ = task.reply.try_send(SegmentReply::Selected(selection.labels.clone(), cut.clone()));
         let masks = match group {
             Some(group) => group.masks,
             None => own.into_iter().map(|found| Some(found.answer)).collect(),

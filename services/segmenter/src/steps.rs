@@ -18,8 +18,7 @@ pub enum AnswerStep {
 
 /// Follows a selection while it is made.
 pub trait AnswerSteps: Sync {
-    /// Receives an earlier answer: whether each splat belongs to the object, up to [`AnswerStep::Selected`] before spikes are
-    /// cut.
+    /// Receives an earlier answer: whether each splat belongs to the object, before spikes are cut.
     fn publish(&self, step: AnswerStep, labels: Vec<bool>);
     /// Whether nobody waits for the selection any more. It ends with [`SegmentError::Cancelled`](crate::SegmentError::Cancelled)
     /// before the next photo is queried.

@@ -1,5 +1,6 @@
 //! The answer to prompts: while it is made, and the last one.
 
+use crate::artifacts::selected::Selected;
 use crate::{Replay, RunError, TextRanking};
 use segwild_flow::{Observer, Phase, Receiver, Stopper};
 use segwild_scene::{Mask, Scene};
@@ -52,14 +53,18 @@ impl Answer {
 const NOTED: Duration = Duration::from_secs(1);
 
 impl PendingAnswer {
-    /// Waits for the last answer. `step` receives the earlier ones: whether each splat of the scene belongs to the object.
+    /// Waits for the last answer. `step` receives the earlier ones; that of [`AnswerStep::Selected`] is as the last one, whose
+    /// confidence is still unknown.
     ///
     /// # Errors
     /// When nothing is selected, the segmenter fails, or the query or the session was cancelled ([`RunError::Interrupted`]).
-    pub fn wait(self, mut step: impl FnMut(AnswerStep, &[bool])) -> Result<Answer, RunError> {
+    pub fn wait(self, mut step: impl FnMut(AnswerStep, Selected)) -> Result<Answer, RunError> {
         loop {
             match self.answers.blocking_recv() {
-                Some(SegmentReply::Step(at, labels)) => step(at, &labels),
+                Some(SegmentReply::Step(at, labels)) => step(at, Selected::of_labels(labels)),
+                Some(SegmentReply::Selected(labels, cut)) => {
+                    step(AnswerStep::Selected, Selected::new(&labels, &cut));
+                }
                 Some(SegmentReply::Done(Ok(mut segmented))) => {
                     let select_s = self.began.elapsed().as_secs_f64();
                     if let Some(ranking) = &self.ranking {

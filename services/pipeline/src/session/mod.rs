@@ -12,7 +12,7 @@
 //! let folder = RunFolder::open("runs/trevi".as_ref())?;
 //! let session = Session::open(&folder, SessionOptions::default())?;
 //! let pending = session.ask(&replay, &folder.settings()?.segment, &Stopper::new())?;
-//! let answer = pending.wait(|step, labels| println!("{step:?}: {} splats", labels.len()))?;
+//! let answer = pending.wait(|step, selected| println!("{step:?}: {} splats", selected.labels.len()))?;
 //! println!("{}", session.save("statue", &answer)?.folder.display());
 //! # Ok(())
 //! # }

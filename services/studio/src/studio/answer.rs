@@ -4,7 +4,7 @@ use super::state::{GrowingAnswer, Studio, StudioError, StudioState};
 use crate::document::{Document, JournalEntry, KeptObject, ObjectDraft, ObjectId, Operation};
 use crate::messages::ConfidenceMessage;
 use segwild_flow::{Phase, Stopper};
-use segwild_pipeline::{Answer, Replay, RunError, Selected, Session};
+use segwild_pipeline::{Answer, Replay, RunError, Session};
 use segwild_segmenter::SegmentSettings;
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
@@ -143,11 +143,12 @@ fn answer(studio: &Weak<Studio>, number: u64, replay: &Replay, stopper: &Stopper
         }
     };
     let result = pending.and_then(|pending| {
-        pending.wait(|step, labels| {
+        pending.wait(|step, selected| {
+            let selected = Arc::new(selected);
             show(&|answer| {
                 answer.message.step = Some(step);
-                answer.message.splats = labels.iter().filter(|label| **label).count();
-                answer.selected = Some(Arc::new(Selected::of_labels(labels.to_vec())));
+                answer.message.splats = selected.labels.iter().filter(|label| **label).count();
+                answer.selected = Some(selected.clone());
             });
         })
     });
