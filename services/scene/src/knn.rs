@@ -5,6 +5,12 @@ use rayon::prelude::*;
 /// Points per bucket at most.
 const BUCKET: usize = 12;
 
+/// Queries whose results are held at once, beside those that are in their rows already.
+const QUERIES_AT_ONCE: usize = 1 << 16;
+
+/// Queries that one task answers.
+const QUERIES_OF_TASK: usize = 256;
+
 /// Stands for "no neighbour".
 pub const NONE: u32 = u32::MAX;
 
@@ -69,10 +75,16 @@ fn entries_of(points: &[[f32; 3]]) -> Vec<KnnEntry> {
     all.map(|(i, &position)| KnnEntry { position, id: i as u32 }).collect()
 }
 
+/// Squared distance of two points. It is the one of [`Neighbours::distance2`], to the last bit, in either order.
+#[inline]
+pub fn distance2(a: [f32; 3], b: [f32; 3]) -> f32 {
+    let d = [0, 1, 2].map(|axis| a[axis] - b[axis]);
+    d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
+}
+
 /// The `k` nearest other points of every point, exactly; points that are not finite have none and are nobody's
-/// neighbour. Equal distances are resolved the same way on every run.
+/// neighbour. Equal distances are resolved the same way on every run. Besides the result it takes 16 bytes per point.
 pub fn nearest(points: &[[f32; 3]], k: usize) -> Neighbours {
-    let tree = Tree::new(entries_of(points));
     let mut out = Neighbours {
         k,
         index: vec![NONE; points.len() * k],
@@ -81,27 +93,24 @@ pub fn nearest(points: &[[f32; 3]], k: usize) -> Neighbours {
     if k == 0 {
         return out;
     }
+    let tree = Tree::new(entries_of(points));
+    let mut found = vec![(f32::INFINITY, NONE); tree.entries.len().min(QUERIES_AT_ONCE) * k];
     // Queries run in the tree's order, in which consecutive ones touch the same buckets.
-    let found: Vec<Vec<(f32, u32)>> = tree
-        .entries
-        .par_chunks(256)
-        .map(|chunk| {
-            let mut rows = Vec::with_capacity(chunk.len() * k);
-            let mut best = Vec::with_capacity(k + 1);
-            for entry in chunk {
-                best.clear();
-                best.resize(k, (f32::INFINITY, NONE));
-                tree.search(0, 0, 0..tree.entries.len(), entry, [0.0; 3], &mut best);
-                rows.extend_from_slice(&best);
+    for queries in tree.entries.chunks(QUERIES_AT_ONCE) {
+        let rows = &mut found[..queries.len() * k];
+        let tasks = rows.par_chunks_mut(QUERIES_OF_TASK * k).zip(queries.par_chunks(QUERIES_OF_TASK));
+        tasks.for_each(|(rows, queries)| {
+            for (best, query) in rows.chunks_exact_mut(k).zip(queries) {
+                best.fill((f32::INFINITY, NONE));
+                tree.search(0, 0, 0..tree.entries.len(), query, [0.0; 3], best);
             }
-            rows
-        })
-        .collect();
-    for (entry, row) in tree.entries.iter().zip(found.iter().flat_map(|rows| rows.chunks_exact(k))) {
-        let at = entry.id as usize * k;
-        for (rank, &(distance2, id)) in row.iter().enumerate() {
-            out.index[at + rank] = id;
-            out.distance2[at + rank] = distance2;
+        });
+        for (query, row) in queries.iter().zip(rows.chunks_exact(k)) {
+            let at = query.id as usize * k;
+            for (rank, &(distance2, id)) in row.iter().enumerate() {
+                out.index[at + rank] = id;
+                out.distance2[at + rank] = distance2;
+            }
         }
     }
     out
@@ -147,9 +156,7 @@ impl Tree {
         let k = best.len();
         if level == self.depth {
             for entry in &self.entries[range] {
-                let d = [0, 1, 2].map(|a| entry.position[a] - query.position[a]);
-                let distance2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-                let candidate = (distance2, entry.id);
+                let candidate = (distance2(entry.position, query.position), entry.id);
                 if candidate < best[k - 1] && entry.id != query.id {
                     let mut at = k - 1;
                     while at > 0 && candidate < best[at - 1] {

@@ -27,6 +27,9 @@ const FEATURE_STEEPNESS: f32 = 4.0;
 /// Nearest neighbours of a splat, at most.
 pub(crate) const MOST_NEIGHBOURS: usize = 256;
 
+/// Rows of the graph that one task takes.
+const MIN_ROWS: usize = 1024;
+
 /// The constant spherical harmonic. It is one unit in the last place above [`segwild_scene::ply::SH0`], so that selections
 /// keep their bytes.
 const SH0: f32 = 0.282_094_8;
@@ -113,62 +116,25 @@ impl NeighbourGraph {
         NeighbourGraph::of_points(&splats.means, k)
     }
 
-    /// The same over bare points.
+    /// The same over bare points. It takes little more memory than the graph that it makes.
     pub fn of_points(points: &[[f32; 3]], k: usize) -> NeighbourGraph {
-        let nearest = knn::nearest(points, k);
-        let n = points.len();
-        // Count, fill, then sort each row and drop the edges that both ends named.
-        let mut counts = vec![0u32; n + 1];
-        let directed = || {
-            (0..n).flat_map(|i| {
-                let row = i * k..(i + 1) * k;
-                nearest.index[row.clone()]
-                    .iter()
-                    .zip(&nearest.distance2[row])
-                    .filter(|(j, _)| **j != NONE)
-                    .map(move |(&j, &d)| (i as u32, j, d))
-            })
+        let knn::Neighbours { index, distance2, .. } = knn::nearest(points, k);
+        let furthest = |i: usize| {
+            let row = &distance2[i * k..(i + 1) * k];
+            row.iter().rev().find(|d| d.is_finite()).map_or(0.0, |d| d.sqrt())
         };
-        for (i, j, _) in directed() {
-            counts[i as usize + 1] += 1;
-            counts[j as usize + 1] += 1;
-        }
-        for i in 0..n {
-            counts[i + 1] += counts[i];
-        }
-        let mut cursor = counts.clone();
-        let mut edges = vec![(0u32, 0f32); counts[n] as usize];
-        for (i, j, d) in directed() {
-            for (from, to) in [(i, j), (j, i)] {
-                edges[cursor[from as usize] as usize] = (to, d.sqrt());
-                cursor[from as usize] += 1;
+        let spacing = (0..points.len()).map(furthest).collect();
+        // What has served is freed before the next array is made.
+        drop(distance2);
+        let (offsets, neighbours) = symmetric_rows(&index, k, points.len());
+        drop(index);
+        let mut distances = vec![0.0; neighbours.len()];
+        for_each_row(&offsets, 0, &mut distances, &|i: usize, row: &mut [f32]| {
+            for (distance, &j) in row.iter_mut().zip(&neighbours[offsets[i] as usize..]) {
+                *distance = knn::distance2(points[i], points[j as usize]).sqrt();
             }
-        }
-        let mut graph = NeighbourGraph {
-            nearest: k,
-            offsets: Vec::with_capacity(n + 1),
-            neighbours: Vec::with_capacity(edges.len()),
-            distances: Vec::with_capacity(edges.len()),
-            spacing: (0..n)
-                .map(|i| {
-                    let row = &nearest.distance2[i * k..(i + 1) * k];
-                    row.iter().rev().find(|d| d.is_finite()).map_or(0.0, |d| d.sqrt())
-                })
-                .collect(),
-        };
-        graph.offsets.push(0);
-        for i in 0..n {
-            let row = &mut edges[counts[i] as usize..counts[i + 1] as usize];
-            row.sort_unstable_by_key(|e| e.0);
-            for (at, &(j, d)) in row.iter().enumerate() {
-                if at == 0 || row[at - 1].0 != j {
-                    graph.neighbours.push(j);
-                    graph.distances.push(d);
-                }
-            }
-            graph.offsets.push(graph.neighbours.len() as u32);
-        }
-        graph
+        });
+        NeighbourGraph { nearest: k, offsets, neighbours, distances, spacing }
     }
 
     /// Number of splats.
@@ -214,11 +180,11 @@ impl NeighbourGraph {
             // Never 0: a row of zeros would have no neighbours at all.
             (-0.5 * near - 0.5 * hue - feature).exp().max(1e-6)
         };
-        (0..self.len())
-            .into_par_iter()
-            .with_min_len(1024)
-            .flat_map_iter(|i| self.edges(i).map(move |e| affinity(i, e)))
-            .collect()
+        let mut affinities = vec![0.0; self.neighbours.len()];
+        for_each_row(&self.offsets, 0, &mut affinities, &|i: usize, row: &mut [f32]| {
+            row.iter_mut().zip(self.edges(i)).for_each(|(of_edge, edge)| *of_edge = affinity(i, edge));
+        });
+        affinities
     }
 
     /// Connected parts of the selected splats: the part's number per splat, `None` for those not selected, and
@@ -257,6 +223,71 @@ impl NeighbourGraph {
         let extent = |s: usize| ((splats.rotation(s).transpose() * along) * splats.scale(s)).length();
         d <= MEETING_DEVIATIONS * (extent(i) + extent(j))
     }
+}
+
+/// The rows that link every point with its nearest and with those that it is among the nearest of: their offsets, and the
+/// neighbours. `index` has the `k` nearest of each of `n` points, [`NONE`] where there are fewer.
+fn symmetric_rows(index: &[u32], k: usize, n: usize) -> (Vec<u32>, Vec<u32>) {
+    let nearest = |i: usize| &index[i * k..(i + 1) * k];
+    // Of two points that are among each other's nearest, each is in the other's row without being added there.
+    let mut mutual = vec![false; index.len()];
+    mutual.par_chunks_mut(k.max(1)).enumerate().with_min_len(MIN_ROWS).for_each(|(i, row)| {
+        for (mutual, &j) in row.iter_mut().zip(nearest(i)) {
+            *mutual = j != NONE && nearest(j as usize).contains(&(i as u32));
+        }
+    });
+    let linked = |i: usize| {
+        let row = nearest(i).iter().zip(&mutual[i * k..(i + 1) * k]);
+        row.filter(|(j, _)| **j != NONE).map(|(&j, &mutual)| (j as usize, mutual))
+    };
+    let mut offsets = vec![0u32; n + 1];
+    for i in 0..n {
+        for (j, mutual) in linked(i) {
+            offsets[i + 1] += 1;
+            offsets[j + 1] += u32::from(!mutual);
+        }
+    }
+    for i in 0..n {
+        offsets[i + 1] += offsets[i];
+    }
+    let mut next = offsets.clone();
+    let mut neighbours = vec![0u32; offsets[n] as usize];
+    let mut link = |from: usize, to: usize| {
+        neighbours[next[from] as usize] = to as u32;
+        next[from] += 1;
+    };
+    for i in 0..n {
+        for (j, mutual) in linked(i) {
+            link(i, j);
+            if !mutual {
+                link(j, i);
+            }
+        }
+    }
+    for_each_row(&offsets, 0, &mut neighbours, &|_: usize, row: &mut [u32]| row.sort_unstable());
+    (offsets, neighbours)
+}
+
+/// Calls a function with each row of `values` and its number, on all cores. Row `first + i` lies at `offsets[i]..offsets[i + 1]`,
+/// counted from `offsets[0]`.
+fn for_each_row<T: Send>(
+    offsets: &[u32],
+    first: usize,
+    values: &mut [T],
+    apply: &(impl Fn(usize, &mut [T]) + Sync),
+) {
+    let rows = offsets.len() - 1;
+    let start = |row: usize| (offsets[row] - offsets[0]) as usize;
+    if rows <= MIN_ROWS {
+        (0..rows).for_each(|row| apply(first + row, &mut values[start(row)..start(row + 1)]));
+        return;
+    }
+    let middle = rows / 2;
+    let (low, high) = values.split_at_mut(start(middle));
+    rayon::join(
+        || for_each_row(&offsets[..=middle], first, low, apply),
+        || for_each_row(&offsets[middle..], first + middle, high, apply),
+    );
 }
 
 #[cfg(test)]

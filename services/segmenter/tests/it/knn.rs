@@ -3,6 +3,7 @@
 use proptest::prelude::*;
 use segwild_scene::{Splats, knn};
 use segwild_segmenter::NeighbourGraph;
+use std::collections::BTreeMap;
 
 fn distance2(a: [f32; 3], b: [f32; 3]) -> f32 {
     let d = [0, 1, 2].map(|k| a[k] - b[k]);
@@ -60,6 +61,45 @@ proptest! {
             }
         }
     }
+
+    #[test]
+    fn the_rows_of_a_graph_are_the_nearest_of_either_end_with_their_distances(
+        points in points(),
+        k in 1usize..8,
+    ) {
+        let (graph, nearest) = (NeighbourGraph::of_points(&points, k), knn::nearest(&points, k));
+        let mut expected = vec![BTreeMap::new(); points.len()];
+        for (at, (&j, &distance2)) in nearest.index.iter().zip(&nearest.distance2).enumerate() {
+            if j != knn::NONE {
+                expected[at / k].insert(j as usize, distance2.sqrt().to_bits());
+                expected[j as usize].insert(at / k, distance2.sqrt().to_bits());
+            }
+        }
+        prop_assert_eq!(graph.len(), points.len());
+        for (i, expected) in expected.into_iter().enumerate() {
+            let edges = graph.edges(i).map(|e| (graph.neighbour(e), graph.distance(e).to_bits()));
+            prop_assert!(edges.eq(expected), "point {}", i);
+        }
+    }
+}
+
+#[test]
+fn the_rows_of_many_points_are_those_of_either_end() {
+    // More rows than one task takes, and more queries than are answered at once.
+    let points = cloud(70_000, 5);
+    let (graph, nearest) = (NeighbourGraph::of_points(&points, 4), knn::nearest(&points, 4));
+    let mut links: Vec<(usize, usize)> = Vec::new();
+    for (at, &j) in nearest.index.iter().enumerate() {
+        links.extend([(at / 4, j as usize), (j as usize, at / 4)]);
+    }
+    links.sort_unstable();
+    links.dedup();
+    let edges = (0..graph.len()).flat_map(|i| graph.edges(i).map(move |e| (i, e)));
+    assert!(edges.clone().map(|(i, e)| (i, graph.neighbour(e))).eq(links));
+    let wrong = edges.filter(|&(i, e)| {
+        graph.distance(e).to_bits() != distance2(points[i], points[graph.neighbour(e)]).sqrt().to_bits()
+    });
+    assert_eq!(wrong.count(), 0);
 }
 
 fn cloud(n: usize, seed: u64) -> Vec<[f32; 3]> {
