@@ -1,6 +1,7 @@
 //! The graph of splats whose distances the views vote on.
 
 use super::boundaries::{combined, depth_edges};
+use super::sightings::{CUES, RegionsInView, Sightings};
 use super::tree::NONE;
 use crate::coverage::unoccluded;
 use crate::seen_once::ShownCounter;
@@ -45,9 +46,6 @@ const UNSEEN_QUANTILE: f64 = 0.75;
 /// Weight of an edge that no view sees, of 1 (method, section 13). By choice. IoU by half, half more: 0, -.007 on the demo.
 const UNSEEN_WEIGHT: f32 = 0.2;
 
-/// What a distance between splats is measured by.
-pub const CUES: usize = 3;
-
 /// Weights of the photo's boundaries and of depth edges, for each distance (method, section 13): both, the photo alone, the
 /// geometry alone. No one of them is best on all scenes: a print on a wall misleads the first two, a leg on the ground the
 /// last. From docs/experiments/2026-11-28-scene-tree.md. Photo: IoU by half, half more: 0, -.004 on the demo. Geometry: Half
@@ -65,14 +63,6 @@ const MIN_NEEDED: f32 = 0.1;
 /// choice.
 const FEW_VIEWS: usize = 8;
 const MIN_URGENT: f32 = 0.01;
-
-/// The regions of a view that hold the pixel of a splat's largest share, by each cue.
-#[derive(Clone, Copy, Debug)]
-struct RegionsInView {
-    /// Index of the view among those that were added.
-    view: u16,
-    regions: [u16; CUES],
-}
 
 /// What a view sees of the splats, whatever its photo shows.
 pub struct SplatsInView {
@@ -119,18 +109,18 @@ impl FrontBorder {
 /// Sorts borders and adds those of one pair.
 fn merged(mut borders: Vec<FrontBorder>) -> Vec<FrontBorder> {
     borders.sort_by_key(|border| (border.a, border.b));
-    let mut out: Vec<FrontBorder> = Vec::new();
-    for border in borders {
-        match out.last_mut() {
-            Some(last) if (last.a, last.b) == (border.a, border.b) => last.add(&border),
-            _ => out.push(border),
+    borders.dedup_by(|border, first| {
+        let same = (first.a, first.b) == (border.a, border.b);
+        if same {
+            first.add(border);
         }
-    }
-    out
+        same
+    });
+    borders
 }
 
-/// Collects views. It holds eight bytes per splat and view that sees it, and 20 per pair of neighbouring fronts. Splats that many
-/// views see need no more of them ([`TreeBuilder::needs`]), so that its size does not grow with the photos of a scene.
+/// Collects views. It holds about nine bytes per splat and view that sees it, and 20 per pair of neighbouring fronts. Splats
+/// that many views see need no more of them ([`TreeBuilder::needs`]), so that its size does not grow with a scene's photos.
 pub struct TreeBuilder<'a> {
     engine: CpuEngine,
     splats: &'a Splats,
@@ -138,7 +128,7 @@ pub struct TreeBuilder<'a> {
     /// Per view, how its regions merge by each cue.
     views: Vec<[MergeTree; CUES]>,
     /// Per splat, the views that see it, in the order in which they were added.
-    sightings: Vec<Vec<RegionsInView>>,
+    sightings: Sightings,
     /// Light in pixels that the views see of each splat.
     light: Vec<f32>,
     /// Per splat, sides of its fronts on nothing, and on the frame.
@@ -200,7 +190,7 @@ impl<'a> TreeBuilder<'a> {
             splats,
             options,
             views: Vec::new(),
-            sightings: vec![Vec::new(); splats.len()],
+            sightings: Sightings::new(splats.len()),
             light: vec![0.0; splats.len()],
             void: vec![0.0; splats.len()],
             frame: vec![0.0; splats.len()],
@@ -235,7 +225,7 @@ impl<'a> TreeBuilder<'a> {
     pub fn needs(&self, view: &SplatsInView) -> bool {
         let seen = view.seen.len().max(1) as f32;
         let fewer = |views: usize| {
-            let known = |&&i: &&u32| self.sightings[i as usize].len() < views;
+            let known = |&&i: &&u32| self.sightings.count(i as usize) < views;
             view.seen.iter().filter(known).count() as f32 / seen
         };
         fewer(ENOUGH_VIEWS) >= MIN_NEEDED || fewer(FEW_VIEWS) >= MIN_URGENT
@@ -267,7 +257,7 @@ impl<'a> TreeBuilder<'a> {
             for &i in &seen {
                 let pixel = front.pixels[i as usize] as usize;
                 let regions = std::array::from_fn(|cue| trees[cue].labels[pixel] as u16);
-                self.sightings[i as usize].push(RegionsInView { view: number, regions });
+                self.sightings.add(i as usize, RegionsInView { view: number, regions });
             }
             self.views.extend(trees.into_iter().map(|tree| tree.merges).collect::<Vec<_>>().try_into());
         }
@@ -325,6 +315,7 @@ impl<'a> TreeBuilder<'a> {
             .map(|(a, e)| (a as u32, near.neighbour(e) as u32))
             .filter(|(a, b)| a < b)
             .collect();
+        drop(near);
         let of_nodes = self.borders.iter().filter_map(|border| {
             let (a, b) = (node[border.a as usize], node[border.b as usize]);
             match a == NONE || b == NONE || a == b {
@@ -339,16 +330,20 @@ impl<'a> TreeBuilder<'a> {
         );
         pairs.sort_unstable();
         pairs.dedup();
-        let known: Vec<Option<[f32; CUES]>> =
-            pairs.par_iter().map(|&(a, b)| self.distances(parts[a as usize], parts[b as usize])).collect();
-        let fill: [f32; CUES] = std::array::from_fn(|cue| {
-            quantile(known.iter().flatten().map(|d| d[cue]).collect(), UNSEEN_QUANTILE)
-        });
-        let edge = |(&(a, b), known): (&(u32, u32), &Option<[f32; CUES]>)| match known {
-            Some(distances) => SplatEdge { a, b, distances: *distances, weight: 1.0 },
-            None => SplatEdge { a, b, distances: fill, weight: UNSEEN_WEIGHT },
+        let edge = |&(a, b): &(u32, u32)| match self.distances(parts[a as usize], parts[b as usize]) {
+            Some(distances) => SplatEdge { a, b, distances, weight: 1.0 },
+            None => SplatEdge { a, b, distances: [0.0; CUES], weight: UNSEEN_WEIGHT },
         };
-        let edges = pairs.iter().zip(&known).map(edge).collect();
+        let mut edges: Vec<SplatEdge> = pairs.par_iter().map(edge).collect();
+        drop(pairs);
+        // An edge that no view sees gets its distances when all others are known.
+        const { assert!(UNSEEN_WEIGHT < 1.0) };
+        let is_seen = |edge: &SplatEdge| edge.weight == 1.0;
+        let fill: [f32; CUES] = std::array::from_fn(|cue| {
+            let seen = edges.iter().filter(|edge| is_seen(edge));
+            quantile(seen.map(|edge| edge.distances[cue]).collect(), UNSEEN_QUANTILE)
+        });
+        edges.iter_mut().filter(|edge| !is_seen(edge)).for_each(|edge| edge.distances = fill);
         let sum = |of: &[f32]| {
             let mut sums = vec![0.0; parts.len()];
             of.iter().zip(&node).filter(|(_, n)| **n != NONE).for_each(|(x, n)| sums[*n as usize] += x);
@@ -360,12 +355,11 @@ impl<'a> TreeBuilder<'a> {
 
     /// Per cue, the median over the views that see both splats of the height at which their regions merge.
     fn distances(&self, a: u32, b: u32) -> Option<[f32; CUES]> {
-        let (a, b) = (&self.sightings[a as usize], &self.sightings[b as usize]);
         let mut heights: [Vec<f32>; CUES] = Default::default();
-        // Both lists are in the order of the views.
-        let mut others = b.iter().peekable();
-        for at in a {
-            while others.next_if(|other| other.view < at.view).is_some() {}
+        // Both go back through the views.
+        let mut others = self.sightings.latest_first(b as usize).peekable();
+        for at in self.sightings.latest_first(a as usize) {
+            while others.next_if(|other| other.view > at.view).is_some() {}
             let Some(other) = others.next_if(|other| other.view == at.view) else { continue };
             for (cue, merges) in self.views[usize::from(at.view)].iter().enumerate() {
                 let meet = merges.meet(at.regions[cue].into(), other.regions[cue].into());

@@ -30,11 +30,13 @@ const MAX_EMBEDDING: f32 = 1.5;
 const SPECTRAL_COST: LinkageCost = LinkageCost { least: 0.01, size: 0.2 };
 
 impl TreeBuilder<'_> {
-    /// The trees of the views so far.
-    pub fn grow(&self) -> SceneTree {
-        let graph = self.graph();
+    /// The trees of the views.
+    pub fn grow(self) -> SceneTree {
+        let (graph, shown_by) = (self.graph(), self.shown_by());
+        // What was held of each view is most of the memory, and no tree needs it.
+        drop(self);
         let trees = graph.grow();
-        SceneTree { leaf: graph.node, trees, shown_by: self.shown_by() }
+        SceneTree { leaf: graph.node, trees, shown_by }
     }
 }
 
