@@ -36,8 +36,8 @@ mod write;
 pub use error::{FileError, Obstacle};
 pub use inside::{Stray, stays_inside};
 pub use mutex::lock;
-pub use read::{open_plain, read_plain, read_within};
+pub use read::{open_plain, open_within, read_plain, read_within};
 pub use write::{
-    append_line, open_to_append, remove_litter, sync_folder, unique_name, write_aside, write_atomic,
-    write_by_folder, write_folder, write_plain, write_private, write_with,
+    append_line, open_to_append, remove_litter, sync_folder, unique_name, write_aside, write_aside_with,
+    write_atomic, write_by_folder, write_folder, write_plain, write_private, write_with,
 };

@@ -39,19 +39,27 @@ pub fn read_plain(path: &Path) -> Result<Vec<u8>> {
 /// # Errors
 /// When the system refuses, it is no plain file, or it has more.
 pub fn read_within(path: &Path, most: u64) -> Result<Vec<u8>> {
-    let file = open_plain(path)?;
-    let too_large = || {
-        Error::new(
-            ErrorKind::FileTooLarge,
-            format!("it has more than {} MiB, which no such file has", most >> 20),
-        )
-    };
-    if file.metadata()?.len() > most {
-        return Err(too_large());
-    }
+    let (file, _) = open_within(path, most)?;
     let mut bytes = Vec::new();
     file.take(most.saturating_add(1)).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 > most { Err(too_large()) } else { Ok(bytes) }
+    if bytes.len() as u64 > most { Err(too_large(most)) } else { Ok(bytes) }
+}
+
+/// Opens a file as by [`open_plain`], to be read bit by bit; with its length, at most so many bytes.
+///
+/// # Errors
+/// As [`read_within`].
+pub fn open_within(path: &Path, most: u64) -> Result<(File, u64)> {
+    let file = open_plain(path)?;
+    let bytes = file.metadata()?.len();
+    if bytes > most { Err(too_large(most)) } else { Ok((file, bytes)) }
+}
+
+fn too_large(most: u64) -> Error {
+    Error::new(
+        ErrorKind::FileTooLarge,
+        format!("it has more than {} MiB, which no such file has", most >> 20),
+    )
 }
 
 #[cfg(test)]

@@ -83,7 +83,7 @@ pub fn write_plain(path: impl AsRef<Path>, bytes: impl AsRef<[u8]>) -> io::Resul
 /// # Errors
 /// As [`write_atomic`].
 pub fn write_aside(aside: &Path, path: &Path, parts: &[&[u8]]) -> Result<(), FileError> {
-    fill_aside(aside, path, |file| write_parts(file, path, parts))
+    write_aside_with(aside, path, |file| write_parts(file, path, parts))
 }
 
 /// As [`write_atomic`], of bytes that arrive bit by bit: `fill` writes them into a file aside, which takes the name only
@@ -106,10 +106,14 @@ pub fn write_with<E: From<FileError>>(
     path: &Path,
     fill: impl FnOnce(&mut File) -> Result<(), E>,
 ) -> Result<(), E> {
-    fill_aside(folder_of(path), path, fill)
+    write_aside_with(folder_of(path), path, fill)
 }
 
-fn fill_aside<E: From<FileError>>(
+/// As [`write_with`], by way of a file in `aside`, which must be on the same file system.
+///
+/// # Errors
+/// As [`write_with`].
+pub fn write_aside_with<E: From<FileError>>(
     aside: &Path,
     path: &Path,
     fill: impl FnOnce(&mut File) -> Result<(), E>,

@@ -24,12 +24,12 @@ mod inventory;
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::io;
+use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 
-use crate::codec::{self, CodecError, Decode, Encode};
+use crate::codec::{self, CodecError, Decode, Encode, StreamedRecord};
 use crate::fault;
 use crate::files::{self, FileError};
 use crate::key::Key;
@@ -103,6 +103,15 @@ type DamageListener = Box<dyn Fn(&str, &str) + Send + Sync>;
 struct DamageReports {
     keys: Mutex<BTreeSet<String>>,
     listener: OnceLock<DamageListener>,
+}
+
+/// The header of an artefact of so many bytes and of this hash.
+fn header(bytes: u64, hash: &[u8; 32]) -> [u8; HEADER] {
+    let mut header = [0; HEADER];
+    header[..8].copy_from_slice(&MAGIC);
+    header[8..16].copy_from_slice(&bytes.to_le_bytes());
+    header[16..].copy_from_slice(hash);
+    header
 }
 
 /// Whether a file's bytes are a whole artefact; else what is wrong with them.
@@ -181,10 +190,7 @@ impl Cache {
     /// # Errors
     /// In words: disk full, read-only, denied. The cache then is as it was before.
     pub fn put(&self, key: &Key, bytes: &[u8]) -> Result<(), CacheError> {
-        let mut header = [0; HEADER];
-        header[..8].copy_from_slice(&MAGIC);
-        header[8..16].copy_from_slice(&(bytes.len() as u64).to_le_bytes());
-        header[16..].copy_from_slice(blake3::hash(bytes).as_bytes());
+        let header = header(bytes.len() as u64, blake3::hash(bytes).as_bytes());
         files::write_aside(&self.root.join("tmp"), &self.path(key), &[&header, bytes])?;
         self.counters.bytes_written.fetch_add(bytes.len() as u64, Ordering::Relaxed);
         Ok(())
@@ -240,12 +246,24 @@ impl Cache {
         Ok(value)
     }
 
-    /// Stores a typed artefact; see [`Cache::put`].
+    /// Stores a typed artefact; see [`Cache::put`]. Its bytes are never held at once.
     ///
     /// # Errors
     /// As [`Cache::put`], and when the value has no record form.
     pub fn put_typed<T: Encode + ?Sized>(&self, key: &Key, kind: &str, value: &T) -> Result<(), CacheError> {
-        self.put(key, &codec::encode(kind, value)?)
+        let record = StreamedRecord::of(kind, value)?;
+        let path = self.path(key);
+        files::write_aside_with(&self.root.join("tmp"), &path, |file| -> Result<(), FileError> {
+            // The header holds the hash of what follows it: it is written last.
+            let written = file.write_all(&[0; HEADER]).and_then(|()| record.write(&mut *file));
+            let written = written.and_then(|hash| {
+                file.seek(SeekFrom::Start(0))?;
+                file.write_all(&header(record.bytes(), &hash))
+            });
+            written.map_err(|e| FileError::new("write", &path, e))
+        })?;
+        self.counters.bytes_written.fetch_add(record.bytes(), Ordering::Relaxed);
+        Ok(())
     }
 
     /// What was done since the cache was opened.

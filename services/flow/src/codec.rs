@@ -23,6 +23,9 @@
 //! assert!(matches!(codec::decode::<Masks>("masks/1", &bytes), Err(CodecError::Corrupt { .. })));
 //! ```
 
+use crate::files::{self, FileError};
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
 use std::path::Path;
 use wincode::config::Configuration;
 use wincode::len::BincodeLen;
@@ -43,6 +46,8 @@ const MAGIC: [u8; 8] = *b"\x89SGW\r\n\x1a\n";
 const KIND_LIMIT: usize = 64;
 /// Bytes of the header without the kind.
 const FIXED_HEADER: usize = 8 + 2 + 1 + 8 + 32;
+/// Bytes that are gathered before they are hashed and written.
+const STREAM_BUFFER: usize = 64 << 10;
 
 /// Bincode 1's bytes, with a limit to what one sequence may take before its elements are seen.
 type Limited<const BYTES: usize> = Configuration<
@@ -151,45 +156,153 @@ fn check_kind(kind: &str) -> Result<(), CodecError> {
     Ok(())
 }
 
-fn digest(kind: &str, payload: &[u8]) -> [u8; 32] {
+/// The hash of a record, before its payload.
+fn hasher(kind: &str) -> blake3::Hasher {
     let mut hasher = blake3::Hasher::new_derive_key("segwild record 1");
-    hasher.update(&[kind.len() as u8]).update(kind.as_bytes()).update(payload);
-    *hasher.finalize().as_bytes()
+    hasher.update(&[kind.len() as u8]).update(kind.as_bytes());
+    hasher
 }
 
-/// Writes a value as a record of a kind (`name/version` by custom, at most 64 printable ASCII characters).
-///
-/// # Errors
-/// When the kind's name does not serve, or the record would pass [`SIZE_LIMIT`].
-pub fn encode<T: Encode + ?Sized>(kind: &str, value: &T) -> Result<Vec<u8>, CodecError> {
+fn header(kind: &str, payload: u64, hash: &blake3::Hash) -> Vec<u8> {
+    let mut header = Vec::with_capacity(FIXED_HEADER + kind.len());
+    header.extend_from_slice(&MAGIC);
+    header.extend_from_slice(&FORMAT_VERSION.to_le_bytes());
+    header.push(kind.len() as u8);
+    header.extend_from_slice(kind.as_bytes());
+    header.extend_from_slice(&payload.to_le_bytes());
+    header.extend_from_slice(hash.as_bytes());
+    header
+}
+
+/// Bytes of a value's payload, where a record of the kind can hold it.
+fn payload_size<T: Encode + ?Sized>(kind: &str, value: &T) -> Result<u64, CodecError> {
     check_kind(kind)?;
-    let config = Config::new();
-    let write_error = |e: wincode::WriteError| CodecError::Write { kind: kind.into(), reason: e.to_string() };
     let too_large = |bytes| CodecError::TooLarge { kind: kind.into(), bytes };
-    let size = match wincode::config::serialized_size(value, config) {
+    let size = match wincode::config::serialized_size(value, Config::new()) {
         Ok(size) => size,
         Err(wincode::WriteError::PreallocationSizeLimit { needed, .. }) => {
             return Err(too_large(needed as u64));
         }
-        Err(e) => return Err(write_error(e)),
+        Err(e) => return Err(write_error(kind, &e)),
     };
-    let header = FIXED_HEADER + kind.len();
-    if size.saturating_add(header as u64) > SIZE_LIMIT as u64 {
-        return Err(too_large(size.saturating_add(header as u64)));
-    }
-    let mut bytes = Vec::with_capacity(header + size as usize);
-    bytes.extend_from_slice(&MAGIC);
-    bytes.extend_from_slice(&FORMAT_VERSION.to_le_bytes());
-    bytes.push(kind.len() as u8);
-    bytes.extend_from_slice(kind.as_bytes());
-    let tail = bytes.len();
-    bytes.resize(header, 0);
-    wincode::config::serialize_into(&mut bytes, value, config).map_err(write_error)?;
-    let payload = (bytes.len() - header) as u64;
-    let hash = digest(kind, &bytes[header..]);
-    bytes[tail..tail + 8].copy_from_slice(&payload.to_le_bytes());
-    bytes[tail + 8..header].copy_from_slice(&hash);
+    let whole = size.saturating_add((FIXED_HEADER + kind.len()) as u64);
+    if whole > SIZE_LIMIT as u64 { Err(too_large(whole)) } else { Ok(size) }
+}
+
+fn write_error(kind: &str, error: &wincode::WriteError) -> CodecError {
+    CodecError::Write { kind: kind.into(), reason: error.to_string() }
+}
+
+/// Writes a value as a record of a kind (`name/version` by custom, at most 64 printable ASCII characters). [`StreamedRecord`]
+/// writes large ones without holding them.
+///
+/// # Errors
+/// When the kind's name does not serve, or the record would pass [`SIZE_LIMIT`].
+pub fn encode<T: Encode + ?Sized>(kind: &str, value: &T) -> Result<Vec<u8>, CodecError> {
+    let size = payload_size(kind, value)?;
+    let start = FIXED_HEADER + kind.len();
+    let mut bytes = Vec::with_capacity(start + size as usize);
+    bytes.resize(start, 0);
+    wincode::config::serialize_into(&mut bytes, value, Config::new()).map_err(|e| write_error(kind, &e))?;
+    let payload = &bytes[start..];
+    let header = header(kind, payload.len() as u64, &hasher(kind).update(payload).finalize());
+    bytes[..start].copy_from_slice(&header);
     Ok(bytes)
+}
+
+/// A value about to be written as a record, with the same bytes as [`encode`] makes, which are never held at once. The value is
+/// encoded twice: for the hash in the header, and for the file.
+///
+/// ```
+/// use segwild_flow::codec::{StreamedRecord, encode, read_file};
+/// let folder = tempfile::tempdir().unwrap();
+/// let (path, areas) = (folder.path().join("areas.bin"), vec![0.5f32, 0.25]);
+/// let record = StreamedRecord::of("areas/1", &areas).unwrap();
+/// record.write_file(&path).unwrap();
+/// assert_eq!(read_file(&path).unwrap(), encode("areas/1", &areas).unwrap());
+/// ```
+pub struct StreamedRecord<'a, T: ?Sized> {
+    header: Vec<u8>,
+    /// Bytes of the payload.
+    payload: u64,
+    value: &'a T,
+}
+
+impl<'a, T: Encode + ?Sized> StreamedRecord<'a, T> {
+    /// Encodes a value for its size and its hash.
+    ///
+    /// # Errors
+    /// As [`encode`].
+    pub fn of(kind: &str, value: &'a T) -> Result<StreamedRecord<'a, T>, CodecError> {
+        payload_size(kind, value)?;
+        let mut payload = MeasuringWriter { out: io::sink(), hasher: hasher(kind), bytes: 0 };
+        stream(value, &mut payload).map_err(|e| write_error(kind, &e))?;
+        let header = header(kind, payload.bytes, &payload.hasher.finalize());
+        Ok(StreamedRecord { header, payload: payload.bytes, value })
+    }
+
+    /// Bytes of the whole record.
+    pub fn bytes(&self) -> u64 {
+        self.header.len() as u64 + self.payload
+    }
+
+    /// Writes the record to `out`. Returns the BLAKE3 hash of all its bytes.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn write(&self, out: impl Write) -> io::Result<[u8; 32]> {
+        let mut out = MeasuringWriter { out, hasher: blake3::Hasher::new(), bytes: 0 };
+        out.write_all(&self.header)?;
+        stream(self.value, &mut out).map_err(|error| match error {
+            wincode::WriteError::Io(wincode::io::WriteError::Io(error)) => error,
+            other => io::Error::other(other.to_string()),
+        })?;
+        // A value that changes while it is written, by an inner lock for instance, has no header that fits it.
+        if out.bytes != self.bytes() {
+            return Err(io::Error::other("its value changed while it was written"));
+        }
+        Ok(*out.hasher.finalize().as_bytes())
+    }
+
+    /// Writes the record as a file, as by [`files::write_atomic`]. Returns the BLAKE3 hash of the file.
+    ///
+    /// # Errors
+    /// In words: disk full, read-only, denied.
+    pub fn write_file(&self, path: &Path) -> Result<[u8; 32], FileError> {
+        let mut hash = [0; 32];
+        files::write_with(path, |file| -> Result<(), FileError> {
+            hash = self.write(file).map_err(|e| FileError::new("write", path, e))?;
+            Ok(())
+        })?;
+        Ok(hash)
+    }
+}
+
+/// Encodes a value bit by bit.
+fn stream<T: Encode + ?Sized>(value: &T, out: impl Write) -> Result<(), wincode::WriteError> {
+    // Long arrays pass the buffer by.
+    let mut buffered = BufWriter::with_capacity(STREAM_BUFFER, out);
+    wincode::config::serialize_into(&mut buffered, value, Config::new())
+}
+
+/// Hashes and counts what is written.
+struct MeasuringWriter<W> {
+    out: W,
+    hasher: blake3::Hasher,
+    bytes: u64,
+}
+
+impl<W: Write> Write for MeasuringWriter<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.out.write(bytes)?;
+        self.hasher.update(&bytes[..written]);
+        self.bytes += written as u64;
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.out.flush()
+    }
 }
 
 /// Splits a record into its kind and its payload, after checking everything but the payload's fields.
@@ -233,7 +346,7 @@ pub fn open(bytes: &[u8]) -> Result<(&str, &[u8]), CodecError> {
         }
         std::cmp::Ordering::Equal => {}
     }
-    if digest(kind, payload) != bytes[tail + 8..header] {
+    if *hasher(kind).update(payload).finalize().as_bytes() != bytes[tail + 8..header] {
         return Err(corrupt("its hash does not fit its bytes".into()));
     }
     Ok((kind, payload))
@@ -242,9 +355,17 @@ pub fn open(bytes: &[u8]) -> Result<(&str, &[u8]), CodecError> {
 /// All bytes of a file that holds a record, to be decoded.
 ///
 /// # Errors
-/// As [`read_within`](crate::files::read_within).
-pub fn read_file(path: &Path) -> std::io::Result<Vec<u8>> {
-    crate::files::read_within(path, FILE_LIMIT)
+/// As [`files::read_within`].
+pub fn read_file(path: &Path) -> io::Result<Vec<u8>> {
+    files::read_within(path, FILE_LIMIT)
+}
+
+/// A file that holds a record, to be read bit by bit, and its length in bytes.
+///
+/// # Errors
+/// As [`files::open_within`].
+pub fn open_file(path: &Path) -> io::Result<(File, u64)> {
+    files::open_within(path, FILE_LIMIT)
 }
 
 /// Reads a record of a kind. Never panics, whatever the bytes; takes at most 64 times as much memory for one sequence as

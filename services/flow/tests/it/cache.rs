@@ -3,7 +3,7 @@
 use std::fs;
 use std::thread;
 
-use segwild_flow::{Cache, CacheError, Key, MakeError, Origin};
+use segwild_flow::{Cache, CacheError, Key, MakeError, Origin, codec};
 
 fn key(name: &str) -> Key {
     Key::of("masks").part("photo", name).finish()
@@ -72,6 +72,21 @@ fn every_kind_of_damage_is_a_miss_and_is_repaired() {
         assert_eq!(cache.get(&key("raw")).unwrap(), None, "{what}");
         assert!(!cache.contains(&key("raw")), "{what}: moved aside");
     }
+}
+
+#[test]
+fn a_typed_artefact_has_the_bytes_of_its_record() {
+    let folder = tempfile::tempdir().unwrap();
+    let cache = Cache::open(folder.path()).unwrap();
+    let values: Vec<f32> = (0..100_000).map(|i| i as f32).collect();
+    let record = codec::encode("values/1", &values).unwrap();
+    cache.put(&key("whole"), &record).unwrap();
+    cache.put_typed(&key("streamed"), "values/1", &values).unwrap();
+    let file = |name: &str| fs::read(cache.path(&key(name))).unwrap();
+    assert!(file("whole") == file("streamed"));
+    assert_eq!(cache.counters().bytes_written, 2 * record.len() as u64);
+    assert_eq!(cache.get(&key("streamed")).unwrap(), Some(record));
+    assert_eq!(fs::read_dir(folder.path().join("tmp")).unwrap().count(), 0, "nothing is left aside");
 }
 
 #[test]

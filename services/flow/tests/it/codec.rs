@@ -1,7 +1,8 @@
 //! Records: bincode's bytes, refusals in type, and no panic on hostile bytes.
 
 use proptest::prelude::*;
-use segwild_flow::codec::{self, CodecError, SIZE_LIMIT};
+use segwild_flow::codec::{self, CodecError, SIZE_LIMIT, StreamedRecord};
+use std::path::Path;
 use wincode::{SchemaRead, SchemaWrite};
 
 #[derive(SchemaWrite, SchemaRead, Clone, Debug, PartialEq)]
@@ -55,6 +56,36 @@ fn more_than_four_mebibytes_travel() {
     let values: Vec<u32> = (0..3 << 20).collect();
     let bytes = codec::encode("many/1", &values).unwrap();
     assert!(codec::decode::<Vec<u32>>("many/1", &bytes).unwrap() == values);
+}
+
+#[test]
+fn a_long_record_is_written_bit_by_bit_with_the_bytes_of_one_that_is_held() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("many.bin");
+    // An array that passes the buffer by, between values that do not.
+    let value = (vec![record(); 3000], (0..3 << 18).collect::<Vec<u32>>(), record());
+    let hash = StreamedRecord::of("many/1", &value).unwrap().write_file(&path).unwrap();
+    let (written, held) = (codec::read_file(&path).unwrap(), codec::encode("many/1", &value).unwrap());
+    assert!(written == held);
+    assert_eq!(hash, *blake3::hash(&held).as_bytes());
+    let (mut file, bytes) = codec::open_file(&path).unwrap();
+    assert_eq!((bytes, std::io::copy(&mut file, &mut std::io::sink()).unwrap()), (held.len() as u64, bytes));
+    let refused = StreamedRecord::of("with blank", &value).err();
+    assert!(matches!(refused, Some(CodecError::KindName(_))));
+}
+
+#[test]
+fn a_full_disk_is_found_where_a_record_is_written_bit_by_bit() {
+    let path = Path::new("/dev/full");
+    let Ok(mut device) = std::fs::File::options().write(true).open(path) else {
+        return println!("skipped: a_full_disk_is_found_where_a_record_is_written_bit_by_bit: no /dev/full");
+    };
+    let values = vec![0u32; 1 << 16];
+    let record = StreamedRecord::of("many/1", &values).unwrap();
+    assert_eq!(record.write(&mut device).unwrap_err().kind(), std::io::ErrorKind::StorageFull);
+    // It ends within the payload.
+    let mut few = [0u8; 1000];
+    assert_eq!(record.write(&mut few[..]).unwrap_err().kind(), std::io::ErrorKind::WriteZero);
 }
 
 #[test]
@@ -126,6 +157,10 @@ proptest! {
         let values: Vec<f32> = values.into_iter().filter(|v| !v.is_nan()).collect();
         let record = TestRecord { view, name, values, shapes: vec![shape], parent: None };
         let bytes = codec::encode("record/1", &record).unwrap();
+        let (mut written, streamed) = (Vec::new(), StreamedRecord::of("record/1", &record).unwrap());
+        prop_assert_eq!(streamed.bytes(), bytes.len() as u64);
+        prop_assert_eq!(streamed.write(&mut written).unwrap(), *blake3::hash(&bytes).as_bytes());
+        prop_assert!(written == bytes);
         prop_assert_eq!(codec::decode::<TestRecord>("record/1", &bytes).unwrap(), record);
     }
 

@@ -2,9 +2,10 @@
 
 use super::folder::CHECKPOINT;
 use crate::{RunError, RunFolder};
+use segwild_flow::codec::StreamedRecord;
 use segwild_flow::files::FileError;
 use segwild_flow::ledger::CheckpointRow;
-use segwild_flow::{Events, Key, Ledger, codec, fault, files};
+use segwild_flow::{Events, Key, Ledger, codec, fault};
 use segwild_trainer::Checkpoint;
 use std::path::PathBuf;
 
@@ -29,15 +30,16 @@ impl Keeper<'_> {
             .map_err(|e| FileError::new("write", &self.folder.checkpoints(), e))?;
         let name = format!("{}{:08}.bin", self.prefix(), checkpoint.step());
         let path = self.folder.checkpoints().join(&name);
-        let bytes = codec::encode(CHECKPOINT, checkpoint)
+        // A checkpoint of millions of splats has gigabytes: it is not held beside the training.
+        let record = StreamedRecord::of(CHECKPOINT, checkpoint)
             .map_err(|source| RunError::Record { path: path.clone(), source })?;
-        files::write_atomic(&path, &bytes)?;
+        let digest = record.write_file(&path)?;
         self.ledger.record_checkpoint(&CheckpointRow {
             stage: "geometry".into(),
             key: self.key.to_string(),
             step: checkpoint.step().into(),
             file: name,
-            digest: blake3::hash(&bytes).to_hex().to_string(),
+            digest: blake3::Hash::from_bytes(digest).to_hex().to_string(),
         })?;
         for old in self.ledger.checkpoints("geometry", self.key)?.into_iter().skip(self.kept.max(1)) {
             // The file may be gone already.

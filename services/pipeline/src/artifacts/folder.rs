@@ -25,6 +25,7 @@
 use crate::artifacts::images::ImageFiles;
 use crate::{RunError, Settings};
 use segwild_features::FeatureField;
+use segwild_flow::codec::StreamedRecord;
 use segwild_flow::files::Stray;
 use segwild_flow::ledger::{CheckpointRow, State};
 use segwild_flow::{Cache, FileError, Ledger, codec, files};
@@ -319,9 +320,11 @@ impl RunFolder {
         kind: &str,
         value: &T,
     ) -> Result<(), RunError> {
-        let bytes = codec::encode(kind, value)
-            .map_err(|source| RunError::Record { path: self.path.join(name), source })?;
-        self.write(name, &bytes)
+        let path = self.path.join(name);
+        let record = StreamedRecord::of(kind, value)
+            .map_err(|source| RunError::Record { path: path.clone(), source })?;
+        record.write_file(&path)?;
+        Ok(())
     }
 
     pub(crate) fn read_record<T: codec::Decode>(&self, name: &str, kind: &str) -> Result<T, RunError> {

@@ -9,6 +9,7 @@ use segwild_flow::{FileError, codec};
 use segwild_raster::Rasterizer;
 use segwild_scene::Image;
 use segwild_segmenter::{SelectionConfidence, ShownSide, counted};
+use std::io::{ErrorKind, Read};
 
 /// The comment after the last selection.
 pub(super) const END_OF_OBJECTS: &str = "<!-- end of objects -->";
@@ -68,13 +69,17 @@ pub(super) fn start_of_objects(folder: &RunFolder) -> Result<String, RunError> {
     hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
     for name in ["segwild.toml", "model.bin", "features.bin"] {
         let path = folder.path().join(name);
-        let bytes = match codec::read_file(&path) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                return Err(FileError::new("read", &path, error).into());
+        let failed = |error| FileError::new("read", &path, error);
+        match codec::open_file(&path) {
+            Ok((file, bytes)) => {
+                hasher.update(&bytes.to_le_bytes());
+                hasher.update_reader(file.take(bytes)).map_err(failed)?;
             }
-            read => read.unwrap_or_default(),
-        };
-        hasher.update(&(bytes.len() as u64).to_le_bytes()).update(&bytes);
+            Err(error) if error.kind() == ErrorKind::NotFound => {
+                hasher.update(&0u64.to_le_bytes());
+            }
+            Err(error) => return Err(failed(error).into()),
+        }
     }
     Ok(format!("<!-- objects of {} -->", hasher.finalize()))
 }
