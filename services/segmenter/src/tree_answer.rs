@@ -6,7 +6,7 @@ use crate::scene_tree::{
 use crate::select::hits;
 use crate::{AnswerStep, Evidence, FirstAnswer, PosedView, PromptedView, Request, SegmentError, seen_once};
 use glam::Vec2;
-use segwild_raster::Channels;
+use segwild_raster::{Channels, CpuEngine};
 use segwild_scene::{Image, Mask, Prompts, ScoredMask};
 use segwild_vision::{PromptSegmenter, VisionError};
 
@@ -155,7 +155,7 @@ fn leaf_clicks(
     tree: &SceneTree,
     clicks: &[(usize, Prompts)],
 ) -> Result<Option<Vec<(usize, LeafClick)>>, SegmentError> {
-    let nothing = Mask::empty(1, 1);
+    let (nothing, engine) = (Mask::empty(1, 1), CpuEngine::new());
     let several = clicks.iter().map(|(_, prompts)| prompts.points.len()).sum::<usize>() > 1;
     let mut found = Vec::new();
     for (number, (view, prompts)) in clicks.iter().enumerate() {
@@ -168,7 +168,8 @@ fn leaf_clicks(
             match leaf {
                 Some(leaf) => {
                     let (posed, at) = (&request.views[*view], Vec2::new(point.x, point.y));
-                    let shown = || ShownLeaves::of(tree, request.splats, &request.options, posed, at);
+                    let (splats, options) = (request.splats, &request.options);
+                    let shown = || ShownLeaves::of(&engine, tree, splats, options, posed, at);
                     let shown = several.then(shown).transpose().map_err(SegmentError::raster(&posed.name))?;
                     found.push((number, LeafClick { leaf, inside: point.inside, shown }));
                 }

@@ -20,6 +20,7 @@ use crate::{
 };
 use segwild_flow::{ActorOptions, Cache, Limits, Phase, Sender, Stopper, System, SystemOptions, mailbox};
 use segwild_objective::Engine;
+use segwild_raster::CpuEngine;
 use segwild_scene::{PhotoStore, Prompts, ReaderError, Scene, Splats};
 use segwild_segmenter::scene_tree::{GroupCandidate, SceneTree};
 use segwild_segmenter::{
@@ -71,6 +72,8 @@ pub struct Session {
     /// Bytes that the segmenter's features take.
     pub(super) feature_bytes: usize,
     pub(super) engine: Arc<dyn Engine>,
+    /// Renders which splat is in front at each pixel; its buffers are used again from view to view.
+    pub(super) fronts: CpuEngine,
     pub(super) providers: Providers,
     /// Key of the training.
     pub(super) training: Option<String>,
@@ -219,6 +222,7 @@ impl Session {
             splats,
             feature_bytes,
             engine,
+            fronts: CpuEngine::new(),
             providers,
             training,
             tree,
@@ -267,7 +271,8 @@ impl Session {
                 "this run has no scene tree, so that its objects cannot be listed: `segwild run` with the same folder grows it".into(),
             ));
         };
-        Ok(ListRequest { photos: &self.photos, model: &self.model, tree, key: key.clone() })
+        let (engine, photos, model) = (&self.fronts, &*self.photos, &self.model);
+        Ok(ListRequest { engine, photos, model, tree, key: key.clone() })
     }
 
     /// Whether a model of texts is here, for [`Session::rank_text`].

@@ -9,7 +9,7 @@ use crate::output::objects::coco_masks;
 use crate::output::render::{HIGHLIGHT, over_white};
 use crate::{PhotoPrompts, RunError, transients};
 use segwild_flow::Stopper;
-use segwild_raster::{Channels, CpuEngine, FrontLayer};
+use segwild_raster::{Channels, FrontLayer};
 use segwild_scene::{
     BoxPrompt, Camera, Export, Image, Mask, PointPrompt, Pose, Prompts, SceneError, SplatFormat, Splats,
 };
@@ -144,7 +144,7 @@ impl Session {
     /// # Errors
     /// When the scene cannot be rendered.
     pub fn front_from(&self, camera: &Camera, pose: &Pose) -> Result<FrontLayer, RunError> {
-        Ok(CpuEngine::default().front(&self.model.splats, camera, pose, &self.model.options())?)
+        Ok(self.fronts.front(&self.model.splats, camera, pose, &self.model.options())?)
     }
 
     /// The mask that prompts mean on one photo, by its pixels alone. Prompts and mask are in pixels of the photo at working size.

@@ -54,6 +54,7 @@ impl ShownLeaves {
     /// # Errors
     /// When the scene cannot be rendered.
     pub fn of(
+        engine: &CpuEngine,
         tree: &SceneTree,
         splats: &Splats,
         options: &ProjectOptions,
@@ -61,7 +62,7 @@ impl ShownLeaves {
         click: Vec2,
     ) -> Result<ShownLeaves, RasterError> {
         let camera = view.camera.scaled_to(DEPTH_SIZE);
-        let front = CpuEngine::default().front(splats, &camera, &view.pose, options)?;
+        let front = engine.front(splats, &camera, &view.pose, options)?;
         let leaf = |(&splat, &alpha): (&u32, &f32)| match tree.leaf.get(splat as usize) {
             Some(&leaf) if alpha >= MIN_SHOWN_ALPHA => leaf,
             _ => NONE,

@@ -18,17 +18,18 @@ pub(super) struct FrontValues<T> {
 }
 
 /// Renders the values of splats into a view: a pixel has the value of the splat that makes up most of it. `value` is called without
-/// a splat for pixels that show none.
+/// a splat for pixels that show none. One engine serves all views of a scene: its buffers are used again.
 ///
 /// # Errors
 /// When the scene cannot be rendered.
 pub(super) fn front_values<T>(
+    engine: &CpuEngine,
     splats: &Splats,
     options: &ProjectOptions,
     view: &PosedView,
     value: impl Fn(Option<usize>) -> T,
 ) -> Result<FrontValues<T>, RasterError> {
-    let front = CpuEngine::default().front(splats, &view.camera, &view.pose, options)?;
+    let front = engine.front(splats, &view.camera, &view.pose, options)?;
     let of_pixel =
         |(&splat, &alpha): (&u32, &f32)| value((alpha >= MIN_PART_ALPHA).then_some(splat as usize));
     let values = front.splats.iter().zip(&front.alpha.data).map(of_pixel).collect();

@@ -3,7 +3,7 @@
 use super::front_values::front_values;
 use super::{GroupCandidate, NONE, SceneTree};
 use crate::PosedView;
-use segwild_raster::{ProjectOptions, RasterError};
+use segwild_raster::{CpuEngine, ProjectOptions, RasterError};
 use segwild_scene::{Mask, Splats};
 
 /// The leaf that each pixel of a view shows.
@@ -32,6 +32,7 @@ impl LeafMap {
     /// # Errors
     /// When the scene cannot be rendered.
     pub fn render(
+        engine: &CpuEngine,
         splats: &Splats,
         options: &ProjectOptions,
         view: &PosedView,
@@ -39,7 +40,7 @@ impl LeafMap {
     ) -> Result<LeafMap, RasterError> {
         let leaf =
             |splat: Option<usize>| splat.and_then(|splat| tree.leaf.get(splat)).copied().unwrap_or(NONE);
-        let front = front_values(splats, options, view, leaf)?;
+        let front = front_values(engine, splats, options, view, leaf)?;
         Ok(LeafMap { width: front.width, height: front.height, leaves: front.values })
     }
 

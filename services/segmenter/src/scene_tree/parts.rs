@@ -6,7 +6,7 @@ use super::tree::{Growth, TREES};
 use super::{GroupCandidate, GroupTree, NONE, SceneTree};
 use crate::PosedView;
 use crate::seen_once::leave_out_of_parts;
-use segwild_raster::{ProjectOptions, RasterError};
+use segwild_raster::{CpuEngine, ProjectOptions, RasterError};
 use segwild_scene::{Mask, Splats};
 
 /// Parts that a scene is listed as, at most: file formats hold their numbers as bytes.
@@ -55,6 +55,7 @@ impl PartMap {
     /// # Errors
     /// When the scene cannot be rendered.
     pub fn render(
+        engine: &CpuEngine,
         splats: &Splats,
         options: &ProjectOptions,
         view: &PosedView,
@@ -64,7 +65,7 @@ impl PartMap {
             let label = splat.and_then(|splat| parts.labels.get(splat)).copied().unwrap_or(0);
             (label, splat.and_then(|splat| parts.seen_once.get(splat)) == Some(&true))
         };
-        let front = front_values(splats, options, view, of_splat)?;
+        let front = front_values(engine, splats, options, view, of_splat)?;
         Ok(PartMap {
             width: front.width,
             height: front.height,

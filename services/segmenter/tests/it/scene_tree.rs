@@ -141,7 +141,7 @@ fn boundaries_that_are_switched_off_answer_no_click() {
 fn click(tree: &SceneTree, world: &TestWorld, view: &PosedView, at: Vec3, inside: bool) -> LeafClick {
     let pixel = view.camera.pixel(view.pose.to_camera(at));
     let options = options();
-    let shown = ShownLeaves::of(tree, &world.splats, &options, view, pixel).unwrap();
+    let shown = ShownLeaves::of(&engine(), tree, &world.splats, &options, view, pixel).unwrap();
     LeafClick { leaf: leaf(tree, world, view, at), inside, shown: Some(shown) }
 }
 
@@ -266,8 +266,10 @@ fn what_hangs_before_one_camera_is_seen_once_and_the_wall_and_the_block_are_not(
     assert!(world.share(0, &seen_once) < 0.05, "{}", world.share(0, &seen_once));
     // Some pixels of the first photo show it more than anything else, and those of other photos show what several do.
     let parts = SceneParts { labels: vec![0; world.len()], seen_once: world.is(3), ..SceneParts::default() };
-    let pixels =
-        |view: &PosedView| PartMap::render(&world.splats, &options(), view, &parts).unwrap().seen_once;
+    let engine = engine();
+    let pixels = |view: &PosedView| {
+        PartMap::render(&engine, &world.splats, &options(), view, &parts).unwrap().seen_once
+    };
     assert!(pixels(&views[0]) > 20 && pixels(&views[4]) == 0, "{} {}", pixels(&views[0]), pixels(&views[4]));
 }
 

@@ -10,6 +10,7 @@ use crate::settings::AT_ONCE;
 use crate::{ExportFormat, RunError};
 use rayon::prelude::*;
 use segwild_flow::{Phase, Stopper, files};
+use segwild_raster::CpuEngine;
 use segwild_scene::{Export, Mask, Scene};
 use segwild_segmenter::PosedView;
 use segwild_segmenter::scene_tree::{PartMap, SceneParts};
@@ -102,6 +103,7 @@ fn annotations(
         name: name.clone(),
         supercategory: "object",
     }));
+    let engine = CpuEngine::new();
     let views: Vec<usize> = (0..scene.views.len()).collect();
     // Masks have the photos' full size: only a few photos at once fit into memory.
     for some in views.chunks(rayon::current_num_threads().min(AT_ONCE)) {
@@ -111,7 +113,7 @@ fn annotations(
         let masks_of = |&index: &usize| -> Result<Vec<(usize, Mask)>, RunError> {
             let view = &scene.views[index];
             let posed = PosedView { camera: view.camera.scaled_to(size), ..view.into() };
-            let map = PartMap::render(&model.splats, &model.options(), &posed, parts)?;
+            let map = PartMap::render(&engine, &model.splats, &model.options(), &posed, parts)?;
             let counts = map.counts();
             let present = (1..=names.len()).filter(|&number| counts.get(number) > Some(&0));
             let large = |number: usize| {

@@ -3,6 +3,7 @@
 use super::sheet;
 use crate::{ObjectQuery, RunError, RunFolder};
 use segwild_flow::{FileError, Phase, Stopper, fault, files};
+use segwild_raster::CpuEngine;
 use segwild_scene::{Image, Mask, PhotoStore, Scene};
 use segwild_segmenter::PosedView;
 use segwild_segmenter::scene_tree::{PartMap, SceneParts, SceneTree};
@@ -176,6 +177,8 @@ fn can_name(name: &str) -> Result<(), RunError> {
 
 /// What a list is made of.
 pub(crate) struct ListRequest<'a> {
+    /// Renders what each photo shows; its buffers are used again from photo to photo.
+    pub engine: &'a CpuEngine,
     pub photos: &'a PhotoStore,
     pub model: &'a Model,
     pub tree: &'a SceneTree,
@@ -213,7 +216,8 @@ impl ListRequest<'_> {
     }
 
     fn map(&self, view: usize, parts: &SceneParts) -> Result<PartMap, RunError> {
-        Ok(PartMap::render(&self.model.splats, &self.model.options(), &self.posed(view), parts)?)
+        let (splats, options) = (&self.model.splats, self.model.options());
+        Ok(PartMap::render(self.engine, splats, &options, &self.posed(view), parts)?)
     }
 
     /// Lists the objects. Names of `before` stay with the objects that have the same pixels.

@@ -253,8 +253,9 @@ impl DescribeRequest<'_> {
 
     /// The leaves that a photo shows, without its transients.
     fn map(&self, view: usize) -> Result<LeafMap, RunError> {
-        let ListRequest { model, tree, .. } = &self.scene;
-        let mut map = LeafMap::render(&model.splats, &model.options(), &self.scene.posed(view), tree)?;
+        let ListRequest { engine, model, tree, .. } = &self.scene;
+        let (options, posed) = (model.options(), self.scene.posed(view));
+        let mut map = LeafMap::render(engine, &model.splats, &options, &posed, tree)?;
         if let Some(transients) = (self.transients)(view) {
             map.leave_out(&transients);
         }

@@ -13,6 +13,7 @@ use crate::run::results::StageResults;
 use crate::run::stage::Stage;
 use crate::run::tree::tree_source;
 use segwild_flow::{Event, Key};
+use segwild_raster::CpuEngine;
 
 /// The stage in the graph.
 pub const NODE: StageNode = StageNode {
@@ -63,7 +64,7 @@ fn list(run: &RunContext<'_>, inputs: &Inputs) -> Result<(), RunError> {
     match source.tree(&run.setup.cache, &stopping)? {
         Some(tree) => {
             let (photos, model, key) = (source.photos, source.model, source.key().to_string());
-            let request = ListRequest { photos, model, tree: &tree, key };
+            let request = ListRequest { engine: &CpuEngine::new(), photos, model, tree: &tree, key };
             let listed = request.list(before.as_ref(), &run.setup.options.stopper)?;
             listed.write(folder)?;
             if let Some(words) = listed.list.seen_once.as_ref().and_then(diagnostics::seen_once) {
