@@ -83,6 +83,16 @@ impl Posed {
 
 pub(crate) fn posed(scene: &Scene) -> Vec<Posed> {
     let mut views: Vec<Posed> = scene.views.iter().map(Posed::of).collect();
+    let mut counts = vec![0usize; views.len()];
+    for seen in scene.points.iter().flat_map(|point| &point.track) {
+        if let Some(count) = counts.get_mut(seen.view as usize) {
+            *count += 1;
+        }
+    }
+    // They stay for the whole training: lists that grow would hold up to twice their content.
+    for (view, count) in views.iter_mut().zip(counts) {
+        view.sightings.reserve_exact(count);
+    }
     for point in &scene.points {
         for o in &point.track {
             if let Some(view) = views.get_mut(o.view as usize) {

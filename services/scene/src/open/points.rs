@@ -34,6 +34,8 @@ pub(super) fn points(
             // Of several sightings in one photo the first counts.
             track.sort_by_key(|o| o.view);
             track.dedup_by_key(|o| o.view);
+            // A list that grew holds up to twice its content, and tracks are most of what a scene of many photos holds.
+            track.shrink_to_fit();
             // A point that only unusable photos saw is of no use; one without a track is taken as it is.
             let lost =
                 !point.track.is_empty() && point.track.iter().all(|(photo, _)| view_of[*photo].is_none());
