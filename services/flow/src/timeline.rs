@@ -10,6 +10,7 @@
 //! assert!(json.contains("photo.jpg"), "{json}");
 //! ```
 
+use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
@@ -74,8 +75,52 @@ impl TimelineRecord {
     }
 }
 
+/// A span as it is held: there are dozens for each photo of a run, about few different things.
+struct HeldSpan {
+    /// Number of the actor's name.
+    actor: u32,
+    worker: u32,
+    /// Number of the label.
+    label: u32,
+    start: f64,
+    end: f64,
+    kind: SpanKind,
+}
+
+impl HeldSpan {
+    fn length(&self) -> f64 {
+        self.end - self.start
+    }
+}
+
+/// Names of actors and labels, each held once.
+#[derive(Default)]
+struct SpanNames {
+    names: Vec<Arc<str>>,
+    numbers: HashMap<Arc<str>, u32>,
+}
+
+impl SpanNames {
+    fn number(&mut self, name: &str) -> u32 {
+        if let Some(&number) = self.numbers.get(name) {
+            return number;
+        }
+        // Never more names than two for each span.
+        let (number, name) = (self.names.len() as u32, Arc::<str>::from(name));
+        self.names.push(name.clone());
+        self.numbers.insert(name, number);
+        number
+    }
+
+    fn name(&self, number: u32) -> &str {
+        &self.names[number as usize]
+    }
+}
+
+#[derive(Default)]
 struct Store {
-    spans: Vec<TimelineSpan>,
+    spans: Vec<HeldSpan>,
+    names: SpanNames,
     shortest: f64,
     dropped: u64,
 }
@@ -93,13 +138,7 @@ pub struct Timeline {
 impl Timeline {
     /// Starts a timeline of at most so many spans (at least 16).
     pub fn new(capacity: usize) -> Self {
-        let store = Store { spans: Vec::new(), shortest: 0.0, dropped: 0 };
-        Self {
-            origin: Instant::now(),
-            began: now(),
-            capacity: capacity.max(16),
-            store: Arc::new(Mutex::new(store)),
-        }
+        Self { origin: Instant::now(), began: now(), capacity: capacity.max(16), store: Arc::default() }
     }
 
     /// Adds a span.
@@ -119,7 +158,8 @@ impl Timeline {
             store.dropped += 1;
             return;
         }
-        store.spans.push(TimelineSpan { actor: actor.into(), worker, label: label.into(), start, end, kind });
+        let (actor, label) = (store.names.number(actor), store.names.number(label));
+        store.spans.push(HeldSpan { actor, worker, label, start, end, kind });
         if store.spans.len() >= self.capacity {
             store.thin(self.capacity / 2);
         }
@@ -128,26 +168,34 @@ impl Timeline {
     /// A copy of what was recorded so far.
     pub fn snapshot(&self) -> TimelineRecord {
         let store = lock(&self.store);
+        let whole = |span: &HeldSpan| TimelineSpan {
+            actor: store.names.name(span.actor).into(),
+            worker: span.worker,
+            label: store.names.name(span.label).into(),
+            start: span.start,
+            end: span.end,
+            kind: span.kind,
+        };
         TimelineRecord {
             began: self.began,
             shortest: store.shortest,
             dropped: store.dropped,
-            spans: store.spans.clone(),
+            spans: store.spans.iter().map(whole).collect(),
         }
     }
 }
 
 impl Store {
-    /// Keeps the longest.
+    /// Keeps the longest, and the names of those.
     fn thin(&mut self, keep: usize) {
-        let mut lengths: Vec<f64> = self.spans.iter().map(|s| s.end - s.start).collect();
+        let mut lengths: Vec<f64> = self.spans.iter().map(HeldSpan::length).collect();
         let before = self.spans.len();
         lengths.sort_by(f64::total_cmp);
         let threshold = lengths[before - keep];
         // Spans of equal length must not keep the store full.
         let mut equal = lengths[before - keep..].iter().take_while(|&&l| l == threshold).count();
         self.spans.retain(|s| {
-            let length = s.end - s.start;
+            let length = s.length();
             if length == threshold {
                 let fits = equal > 0;
                 equal = equal.saturating_sub(1);
@@ -157,6 +205,11 @@ impl Store {
         });
         self.shortest = threshold;
         self.dropped += (before - self.spans.len()) as u64;
+        let names = std::mem::take(&mut self.names);
+        for span in &mut self.spans {
+            span.actor = self.names.number(names.name(span.actor));
+            span.label = self.names.number(names.name(span.label));
+        }
     }
 }
 
@@ -171,11 +224,16 @@ mod tests {
         let start = Instant::now();
         for i in 0..10_000u64 {
             let micros = if i % 1000 == 500 { 1_000_000 } else { 1 + i % 7 };
-            timeline.record("a", 0, "", start, start + Duration::from_micros(micros), SpanKind::Busy);
+            let end = start + Duration::from_micros(micros);
+            timeline.record("masks", 0, &format!("photo {i}"), start, end, SpanKind::Busy);
         }
+        let names = lock(&timeline.store).names.names.len();
+        assert!(names <= 65, "{names}: the names of dropped spans are dropped, too");
         let record = timeline.snapshot();
         assert!(record.spans.len() < 64);
-        assert_eq!(record.spans.iter().filter(|s| s.end - s.start > 0.5).count(), 10);
+        assert!(record.spans.iter().all(|s| s.actor == "masks"));
+        let longest = record.spans.iter().filter(|s| s.end - s.start > 0.5).map(|s| s.label.clone());
+        assert!(longest.eq((0..10).map(|k| format!("photo {}", 500 + 1000 * k))));
         assert_eq!(record.dropped + record.spans.len() as u64, 10_000);
         assert_eq!(
             serde_json::from_str::<TimelineRecord>(&record.to_json()).unwrap().dropped,

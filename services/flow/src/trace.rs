@@ -9,13 +9,17 @@
 //!     Ok(())
 //! }).unwrap();
 //! let report = system.join();
-//! let chrome: serde_json::Value = serde_json::from_str(&trace::chrome(&report, "demo")).unwrap();
+//! let (mut chrome, mut otlp) = (Vec::new(), Vec::new());
+//! trace::chrome(&report, "demo", &mut chrome).unwrap();
+//! let chrome: serde_json::Value = serde_json::from_slice(&chrome).unwrap();
 //! assert!(chrome["traceEvents"].as_array().unwrap().iter().any(|e| e["args"]["name"] == "numbers"));
-//! let otlp: serde_json::Value = serde_json::from_str(&trace::otlp(&report, "demo")).unwrap();
+//! trace::otlp(&report, "demo", &mut otlp).unwrap();
+//! let otlp: serde_json::Value = serde_json::from_slice(&otlp).unwrap();
 //! assert_eq!(otlp["resourceSpans"][0]["scopeSpans"][0]["spans"][0]["name"], "demo");
 //! ```
 
 use std::collections::BTreeMap;
+use std::io::{self, Write};
 
 use serde_json::{Value, json};
 
@@ -63,29 +67,37 @@ fn worker_name(actor: &str, worker: u32) -> String {
     if worker == 0 { actor.to_owned() } else { format!("{actor} {worker}") }
 }
 
-/// The inside of a JSON list, as text.
-#[derive(Default)]
-struct List(String);
+/// The inside of a JSON list, written value by value: the text of all spans would be the largest thing in memory.
+struct List<W> {
+    out: W,
+    is_empty: bool,
+}
 
-impl List {
-    fn push(&mut self, value: &Value) {
-        use std::fmt::Write as _;
-        let comma = if self.0.is_empty() { "" } else { ",\n" };
-        // Writing to a string cannot fail.
-        let _ = write!(self.0, "{comma}{value}");
+impl<W: Write> List<W> {
+    fn new(out: W) -> List<W> {
+        List { out, is_empty: true }
+    }
+
+    fn push(&mut self, value: &Value) -> io::Result<()> {
+        let comma = if self.is_empty { "" } else { ",\n" };
+        self.is_empty = false;
+        write!(self.out, "{comma}{value}")
     }
 }
 
-/// As Chrome's trace events: one process named after the run, one thread per worker, times in microseconds.
-pub fn chrome(report: &Report, run: &str) -> String {
+/// Writes Chrome's trace events: one process named after the run, one thread per worker, times in microseconds.
+///
+/// # Errors
+/// Those of `out`.
+pub fn chrome(report: &Report, run: &str, mut out: impl Write) -> io::Result<()> {
     let rows = rows(report);
-    let mut events = List::default();
-    events.push(&json!({"ph": "M", "name": "process_name", "pid": 1, "tid": 0, "args": {"name": run}}));
+    write!(out, "{{\"displayTimeUnit\":\"ms\",\"traceEvents\":[")?;
+    let mut events = List::new(&mut out);
+    events.push(&json!({"ph": "M", "name": "process_name", "pid": 1, "tid": 0, "args": {"name": run}}))?;
     for ((actor, worker), row) in &rows {
         let args = json!({"name": worker_name(actor, *worker)});
-        events.push(&json!({"ph": "M", "name": "thread_name", "pid": 1, "tid": row, "args": args}));
+        events.push(&json!({"ph": "M", "name": "thread_name", "pid": 1, "tid": row, "args": args}))?;
     }
-    // As text one by one: a tree of all spans would be the largest thing in memory.
     for span in &report.timeline.spans {
         events.push(&json!({
             "ph": "X",
@@ -95,22 +107,32 @@ pub fn chrome(report: &Report, run: &str) -> String {
             "tid": rows[&(span.actor.as_str(), span.worker)],
             "ts": (span.start * 1e6).round(),
             "dur": ((span.end - span.start) * 1e6).round(),
-        }));
+        }))?;
     }
-    format!("{{\"displayTimeUnit\":\"ms\",\"traceEvents\":[{}]}}\n", events.0)
+    writeln!(out, "]}}")
 }
 
-/// As one OTLP/JSON export request: a trace of the run, a span per worker below it, their spans below those.
-pub fn otlp(report: &Report, run: &str) -> String {
+/// Writes one OTLP/JSON export request: a trace of the run, a span per worker below it, their spans below those.
+///
+/// # Errors
+/// Those of `out`.
+pub fn otlp(report: &Report, run: &str, mut out: impl Write) -> io::Result<()> {
     let began = report.timeline.began;
     let id = blake3::hash(format!("{run} {began} {}", std::process::id()).as_bytes()).to_hex().to_string();
     let trace = &id[..32];
     // Identifiers of spans are never zero.
     let span_id = |n: usize| format!("{:016x}", n + 1);
     let nanos = |seconds: f64| format!("{}", ((began + seconds).max(0.0) * 1e9) as u64);
-    let mut spans = List::default();
+    let text = |key: &str, value: &str| json!({"key": key, "value": {"stringValue": value}});
+    let resource = json!({"attributes": [text("service.name", "segwild")]});
+    let scope = json!({"name": env!("CARGO_PKG_NAME"), "version": env!("CARGO_PKG_VERSION")});
+    write!(
+        out,
+        "{{\"resourceSpans\":[{{\"resource\":{resource},\"scopeSpans\":[{{\"scope\":{scope},\"spans\":["
+    )?;
+    let mut spans = List::new(&mut out);
     let mut span = |n: usize, parent: Option<usize>, name: &str, start: f64, end: f64, attributes: Value| {
-        let span = json!({
+        spans.push(&json!({
             "traceId": trace,
             "spanId": span_id(n),
             "parentSpanId": parent.map(span_id).unwrap_or_default(),
@@ -120,29 +142,22 @@ pub fn otlp(report: &Report, run: &str) -> String {
             "endTimeUnixNano": nanos(end),
             "attributes": attributes,
             "status": {},
-        });
-        spans.push(&span);
+        }))
     };
-    let text = |key: &str, value: &str| json!({"key": key, "value": {"stringValue": value}});
-    span(0, None, run, 0.0, report.wall_s, json!([]));
+    span(0, None, run, 0.0, report.wall_s, json!([]))?;
     let rows = rows(report);
     for ((actor, worker), row) in &rows {
         let mine = report.timeline.spans.iter().filter(|s| s.actor == *actor && s.worker == *worker);
         let (start, end) = mine.fold((report.wall_s, 0.0f64), |(a, b), s| (s.start.min(a), s.end.max(b)));
         let attributes = json!([text("segwild.actor", actor)]);
-        span(*row, Some(0), &worker_name(actor, *worker), start.min(end), end, attributes);
+        span(*row, Some(0), &worker_name(actor, *worker), start.min(end), end, attributes)?;
     }
     for (n, s) in report.timeline.spans.iter().enumerate() {
         let row = rows[&(s.actor.as_str(), s.worker)];
         let attributes = json!([text("segwild.actor", &s.actor), text("segwild.state", word(s.kind))]);
-        span(rows.len() + 1 + n, Some(row), &name(s), s.start, s.end, attributes);
+        span(rows.len() + 1 + n, Some(row), &name(s), s.start, s.end, attributes)?;
     }
-    let resource = json!({"attributes": [text("service.name", "segwild")]});
-    let scope = json!({"name": env!("CARGO_PKG_NAME"), "version": env!("CARGO_PKG_VERSION")});
-    format!(
-        "{{\"resourceSpans\":[{{\"resource\":{resource},\"scopeSpans\":[{{\"scope\":{scope},\"spans\":[{}]}}]}}]}}\n",
-        spans.0
-    )
+    writeln!(out, "]}}]}}]}}")
 }
 
 /// A few lines for a person: where each actor's time went, the busiest first, and what it waited for longest.

@@ -2,8 +2,10 @@
 
 use super::folder::EARLIER;
 use crate::{RunError, RunFolder};
-use segwild_flow::{FileError, Report, SpanKind, TimelineSpan, trace};
+use segwild_flow::{FileError, Report, SpanKind, TimelineSpan, files, trace};
 use segwild_poses::PoseSpan;
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
 use std::path::Path;
 use std::time::Instant;
 
@@ -80,18 +82,33 @@ impl<'a> Traces<'a> {
     /// Writes the timeline as it is now.
     pub fn write(&self, report: &Report) -> Result<(), RunError> {
         let run = self.folder.path().file_name().map_or("run".into(), |n| n.to_string_lossy());
-        // One after another: with a thousand photos each is some MiB of text.
-        self.folder.write(FILES[0], &serde_json::to_vec(report).unwrap_or_default())?;
-        self.folder.write(FILES[1], trace::chrome(report, &run).as_bytes())?;
-        self.folder.write(FILES[2], trace::otlp(report, &run).as_bytes())
+        // With a thousand photos each is some MiB of text.
+        write_streamed(self.folder, FILES[0], |out| Ok(serde_json::to_writer(out, report)?))?;
+        write_streamed(self.folder, FILES[1], |out| trace::chrome(report, &run, out))?;
+        write_streamed(self.folder, FILES[2], |out| trace::otlp(report, &run, out))
     }
+}
+
+/// Writes a file of a run from what `fill` writes bit by bit.
+fn write_streamed(
+    folder: &RunFolder,
+    name: &str,
+    fill: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>,
+) -> Result<(), RunError> {
+    let path = folder.path().join(name);
+    files::write_with(&path, |file| -> Result<(), FileError> {
+        let mut out = BufWriter::new(file);
+        fill(&mut out).and_then(|()| out.flush()).map_err(|e| FileError::new("write", &path, e))
+    })?;
+    Ok(())
 }
 
 /// Writes the timeline of a selection, for Perfetto.
 pub(crate) fn of_selection(folder: &RunFolder, name: &str, report: &Report) -> Result<(), RunError> {
     let earlier = folder.path().join(EARLIER);
     std::fs::create_dir_all(&earlier).map_err(|e| FileError::new("create", &earlier, e))?;
-    folder.write(&format!("{EARLIER}/selection-{name}.trace.json"), trace::chrome(report, name).as_bytes())
+    let file = format!("{EARLIER}/selection-{name}.trace.json");
+    write_streamed(folder, &file, |out| trace::chrome(report, name, out))
 }
 
 /// When a file was last changed, in milliseconds since 1970: so names sort by age.
