@@ -40,8 +40,7 @@ impl ContourTree {
             distance: sum / length,
             weight: length,
         };
-        let edges: Vec<LinkageEdge> = sides.iter().map(edge).collect();
-        ContourTree { labels, merges: agglomerate(&areas, &edges, LinkageCost::AVERAGE) }
+        ContourTree { labels, merges: agglomerate(&areas, sides.iter().map(edge), LinkageCost::AVERAGE) }
     }
 
     /// The height at which two pixels' regions merge: 0 within one region, up to 1.

@@ -30,6 +30,7 @@ mod contours;
 mod family;
 mod geometry;
 pub mod linkage;
+mod links;
 mod model_file;
 mod model_name;
 mod network_file;

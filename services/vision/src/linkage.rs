@@ -1,7 +1,8 @@
 //! Agglomerative clustering of the nodes of a weighted graph: of a photo's regions, and of a scene's splats.
 
+use crate::links::NodeLinks;
 use std::cmp::{Ordering, Reverse};
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::BinaryHeap;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// An undirected edge between two nodes, `a < b`.
@@ -153,16 +154,26 @@ struct EdgeSum {
 }
 
 /// Merges the cheapest pair of linked nodes until one is left. `sizes` has one number per node, 0 or more. The distance of two
-/// nodes is the weighted mean over the edges between them.
-pub fn agglomerate(sizes: &[f32], edges: &[LinkageEdge], cost: LinkageCost) -> MergeTree {
+/// nodes is the weighted mean over the edges between them. Edges are gone through twice.
+pub fn agglomerate(
+    sizes: &[f32],
+    edges: impl Iterator<Item = LinkageEdge> + Clone,
+    cost: LinkageCost,
+) -> MergeTree {
     let n = sizes.len();
     let total = sizes.iter().map(|&s| f64::from(s)).sum::<f64>().max(f64::MIN_POSITIVE);
     let mut share: Vec<f64> = sizes.iter().map(|&s| f64::from(s) / total).collect();
-    let mut around: Vec<BTreeMap<u32, EdgeSum>> = vec![BTreeMap::new(); n];
+    let mut counts = vec![0u32; n];
+    for e in edges.clone() {
+        counts[e.a as usize] += 1;
+        counts[e.b as usize] += 1;
+    }
+    let with_capacity = |count: u32| NodeLinks::<EdgeSum>::with_capacity(count as usize);
+    let mut around: Vec<NodeLinks<EdgeSum>> = counts.into_iter().map(with_capacity).collect();
     for e in edges {
         let (distance, weight) = (f64::from(e.distance) * f64::from(e.weight), f64::from(e.weight));
         for (from, to) in [(e.a, e.b), (e.b, e.a)] {
-            let link = around[from as usize].entry(to).or_default();
+            let link = around[from as usize].entry(to);
             *link = EdgeSum { distance: link.distance + distance, weight: link.weight + weight };
         }
     }
@@ -174,7 +185,9 @@ pub fn agglomerate(sizes: &[f32], edges: &[LinkageEdge], cost: LinkageCost) -> M
     };
     let mut heap: BinaryHeap<Reverse<PendingMerge>> = BinaryHeap::new();
     for (a, links) in around.iter().enumerate() {
-        heap.extend(links.range(a as u32 + 1..).map(|(&b, &link)| candidate(&share, a as u32, b, link)));
+        let a = a as u32;
+        let to_later = links.iter().filter(|(b, _)| *b > a);
+        heap.extend(to_later.map(|(b, link)| candidate(&share, a, b, link)));
     }
     let mut tree = MergeTree {
         leaves: n,
@@ -193,8 +206,8 @@ pub fn agglomerate(sizes: &[f32], edges: &[LinkageEdge], cost: LinkageCost) -> M
     };
     while let Some(Reverse(PendingMerge { cost: was, a, b })) = heap.pop() {
         let (mut i, mut j) = (a as usize, b as usize);
-        let link = match around[i].get(&b) {
-            Some(&link) if alive[i] && alive[j] => link,
+        let link = match around[i].get(b) {
+            Some(link) if alive[i] && alive[j] => link,
             _ => continue,
         };
         let now = of(&share, a, b, link);
@@ -209,17 +222,17 @@ pub fn agglomerate(sizes: &[f32], edges: &[LinkageEdge], cost: LinkageCost) -> M
         node[i] = join(&mut next, node[i], node[j], height);
         alive[j] = false;
         share[i] += share[j];
-        around[i].remove(&(j as u32));
-        for (other, link) in std::mem::take(&mut around[j]) {
+        around[i].remove(j as u32);
+        for (other, link) in std::mem::take(&mut around[j]).iter() {
             if other as usize == i {
                 continue;
             }
             let there = &mut around[other as usize];
-            there.remove(&(j as u32));
-            let both = there.entry(i as u32).or_default();
+            there.remove(j as u32);
+            let both = there.entry(i as u32);
             *both = EdgeSum { distance: both.distance + link.distance, weight: both.weight + link.weight };
             let both = *both;
-            around[i].insert(other, both);
+            *around[i].entry(other) = both;
             heap.push(candidate(&share, i as u32, other, both));
         }
     }
@@ -244,7 +257,7 @@ mod tests {
     /// Two tight triples with a weak link between them, and a node that nothing links.
     fn two_groups() -> MergeTree {
         let edges = [edge(0, 1, 0.1), edge(1, 2, 0.2), edge(2, 3, 0.9), edge(3, 4, 0.1), edge(4, 5, 0.2)];
-        agglomerate(&[1.0; 7], &edges, LinkageCost::AVERAGE)
+        agglomerate(&[1.0; 7], edges.into_iter(), LinkageCost::AVERAGE)
     }
 
     #[test]
@@ -281,7 +294,7 @@ mod tests {
     fn the_mean_of_a_border_decides_and_not_its_weakest_point() {
         // 0-1 and 2-3 are pairs; between them one low edge and one high one.
         let edges = [edge(0, 1, 0.1), edge(2, 3, 0.1), edge(0, 2, 0.2), edge(1, 3, 0.8), edge(3, 4, 0.4)];
-        let tree = agglomerate(&[1.0; 5], &edges, LinkageCost::AVERAGE);
+        let tree = agglomerate(&[1.0; 5], edges.into_iter(), LinkageCost::AVERAGE);
         assert!((tree.height[tree.meet(0, 3) as usize] - 0.5).abs() < 1e-6);
         assert!(tree.meet(2, 4) < tree.meet(0, 3), "4 joins 2 and 3 first");
     }
@@ -290,8 +303,8 @@ mod tests {
     fn small_nodes_merge_first_where_size_counts() {
         let edges = [edge(0, 1, 0.3), edge(1, 2, 0.31)];
         let sizes = [10.0, 10.0, 0.1];
-        let by_distance = agglomerate(&sizes, &edges, LinkageCost::AVERAGE);
-        let by_size = agglomerate(&sizes, &edges, LinkageCost { least: 0.01, size: 0.2 });
+        let by_distance = agglomerate(&sizes, edges.into_iter(), LinkageCost::AVERAGE);
+        let by_size = agglomerate(&sizes, edges.into_iter(), LinkageCost { least: 0.01, size: 0.2 });
         assert!(by_distance.meet(0, 1) < by_distance.meet(1, 2));
         assert!(by_size.meet(1, 2) < by_size.meet(0, 1));
     }
@@ -313,7 +326,8 @@ mod tests {
 
     #[test]
     fn no_node_makes_an_empty_tree_and_one_node_a_root() {
-        assert!(agglomerate(&[], &[], LinkageCost::AVERAGE).is_empty());
-        assert_eq!(agglomerate(&[1.0], &[], LinkageCost::AVERAGE).parent, [0]);
+        let of = |sizes: &[f32]| agglomerate(sizes, std::iter::empty(), LinkageCost::AVERAGE);
+        assert!(of(&[]).is_empty());
+        assert_eq!(of(&[1.0]).parent, [0]);
     }
 }

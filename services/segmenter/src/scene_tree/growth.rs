@@ -47,20 +47,18 @@ impl SplatGraph {
     }
 
     fn tree(&self, cue: usize, growth: Growth) -> GroupTree {
-        let mut edges: Vec<LinkageEdge> = self
-            .edges
-            .iter()
-            .map(|e| LinkageEdge { a: e.a, b: e.b, distance: e.distances[cue], weight: e.weight })
-            .collect();
+        let of = |e: &SplatEdge, distance: f32| LinkageEdge { a: e.a, b: e.b, distance, weight: e.weight };
         let merges = match growth {
             Growth::Average => {
-                agglomerate(&self.areas, &edges, LinkageCost { least: 0.01, ..LinkageCost::AVERAGE })
+                let edges = self.edges.iter().map(|e| of(e, e.distances[cue]));
+                agglomerate(&self.areas, edges, LinkageCost { least: 0.01, ..LinkageCost::AVERAGE })
             }
             Growth::Spectral => {
-                for (e, far) in edges.iter_mut().zip(self.embedded(cue)) {
-                    e.distance = EDGE_WEIGHT * e.distance + (1.0 - EDGE_WEIGHT) * far;
-                }
-                agglomerate(&self.areas, &edges, SPECTRAL_COST)
+                let embedded = self.embedded(cue);
+                let edges = self.edges.iter().zip(&embedded).map(|(e, far)| {
+                    of(e, EDGE_WEIGHT * e.distances[cue] + (1.0 - EDGE_WEIGHT) * far)
+                });
+                agglomerate(&self.areas, edges, SPECTRAL_COST)
             }
         };
         self.described(merges, cue)

@@ -110,8 +110,8 @@ pub fn embedding(affinities: Affinities, count: usize) -> Vec<f32> {
     };
     let mut x: Vec<Row> =
         (0..n).map(|i| std::array::from_fn(|k| if k == 0 { root[i] as f32 } else { random() })).collect();
-    let mut values = orthonormal(&normalised, &mut x);
     let (mut a, mut b) = (vec![[0.0; BLOCK]; n], vec![[0.0; BLOCK]; n]);
+    let mut values = orthonormal(&normalised, &mut x, &mut b);
     for _ in 0..ITERATIONS {
         // Damp what lies between -1 and the least eigenvalue of the block.
         let top = values[BLOCK - 1].clamp(0.0, 0.9999);
@@ -123,20 +123,21 @@ pub fn embedding(affinities: Affinities, count: usize) -> Vec<f32> {
             std::mem::swap(&mut a, &mut b);
         }
         std::mem::swap(&mut x, &mut a);
-        values = orthonormal(&normalised, &mut x);
+        values = orthonormal(&normalised, &mut x, &mut b);
     }
+    drop((normalised, a, b));
     let scale: Vec<f64> = values.iter().map(|&v| 1.0 / (1.0 - v).max(LEAST_GAP).sqrt()).collect();
-    let of = |(row, root): (&Row, &f64)| -> Vec<f32> {
+    let mut rows = Vec::with_capacity(n * count);
+    for (row, root) in x.iter().zip(&root) {
         let inverse = if *root > 0.0 { 1.0 / root } else { 0.0 };
-        (1..=count).map(|k| (f64::from(row[k]) * scale[k] * inverse) as f32).collect()
-    };
-    x.iter().zip(&root).flat_map(of).collect()
+        rows.extend((1..=count).map(|k| (f64::from(row[k]) * scale[k] * inverse) as f32));
+    }
+    rows
 }
 
 /// Turns the vectors into orthonormal ones that are as near to eigenvectors as their span allows, in the order of falling
-/// eigenvalues, which are returned (Rayleigh and Ritz).
-fn orthonormal(m: &Affinities, x: &mut [Row]) -> Vec<f64> {
-    let n = x.len();
+/// eigenvalues, which are returned (Rayleigh and Ritz). `mapped` is memory of the size of `x`, whatever it holds.
+fn orthonormal(m: &Affinities, x: &mut [Row], mapped: &mut [Row]) -> Vec<f64> {
     // Vectors of one length first: a polynomial makes some large and some small.
     let square = products(x, x);
     let by: Row = std::array::from_fn(|k| {
@@ -153,9 +154,8 @@ fn orthonormal(m: &Affinities, x: &mut [Row]) -> Vec<f64> {
         }
     }
     turn(x, &whiten);
-    let mut mapped = vec![[0.0; BLOCK]; n];
-    m.step(x, None, 1.0, 0.0, &mut mapped);
-    let (values, vectors) = eigen::symmetric(products(x, &mapped), BLOCK);
+    m.step(x, None, 1.0, 0.0, mapped);
+    let (values, vectors) = eigen::symmetric(products(x, mapped), BLOCK);
     let mut rotation = vec![0.0; BLOCK * BLOCK];
     for k in 0..BLOCK {
         for j in 0..BLOCK {
