@@ -18,12 +18,12 @@ const BASE: f64 = 70.0;
 const PER_PHOTO: f64 = 12_000.0;
 /// Bytes per observation of a reconstructed point, as read and as the trainer sorts it.
 const PER_OBSERVATION: f64 = 60.0;
-/// Copies of a splat's parameters while a checkpoint is written: they and Adam's two moments in the trainer, in the
-/// checkpoint and in its bytes, gradients, snapshot.
+/// Copies of a splat's parameters that are held at most: they and Adam's two moments in the trainer and in a checkpoint,
+/// gradients, snapshot; and space for the scene tree, which grows when most of those are freed.
 const COPIES: f64 = 12.0;
 /// Copies of a splat's parameters in a checkpoint: they and Adam's two moments.
 const CHECKPOINT_COPIES: f64 = 3.0;
-/// The same as [`COPIES`] for imported splats: the file's bytes, the splats as read and as placed, the model, its bytes in the cache.
+/// The same as [`COPIES`] for imported splats: the file's bytes, the splats as read and as placed, the model, and one in reserve.
 const IMPORT_COPIES: f64 = 5.0;
 /// Bytes per splat beside its parameters: projection, statistics.
 const PER_SPLAT: f64 = 200.0;

@@ -67,8 +67,8 @@ const MIN_URGENT: f32 = 0.01;
 /// What a view sees of the splats, whatever its photo shows.
 pub struct SplatsInView {
     front: FrontLayer,
-    /// Inverse depth.
-    inverse: Frame,
+    /// Inverse depth; `None` where the view is not needed.
+    inverse: Option<Frame>,
     /// Light in pixels that reaches the view from each splat.
     light: Vec<f32>,
     /// The light that would if nothing stood before the splat.
@@ -210,23 +210,31 @@ impl<'a> TreeBuilder<'a> {
         let (projected, front) =
             self.engine.project_with_front(splats, &camera, &view.pose, options).map_err(raster())?;
         let light = projected.gather(&Image::filled(width, height, 1, 1.0)).map_err(raster())?;
-        let inverse: Vec<f32> =
-            projected.depths().iter().map(|&z| if z > 0.0 { 1.0 / z } else { 0.0 }).collect();
-        let inverse = projected.blend(&Channels { count: 1, values: &inverse }).map_err(raster())?;
-        drop(projected);
         let unoccluded = unoccluded(splats, &camera, &view.pose, options);
         let sees =
             |&i: &usize| front.shares[i] > MIN_FRONT_SHARE && light[i] > MIN_LIGHT_SHARE * unoccluded[i];
-        let seen = (0..splats.len()).filter(sees).map(|i| i as u32).collect();
+        let seen: Vec<u32> = (0..splats.len()).filter(sees).map(|i| i as u32).collect();
+        // Of a thousand photos most are not needed.
+        let inverse = match self.is_needed(&seen) {
+            true => {
+                let depths = projected.depths().iter();
+                let values: Vec<f32> = depths.map(|&z| if z > 0.0 { 1.0 / z } else { 0.0 }).collect();
+                Some(projected.blend(&Channels { count: 1, values: &values }).map_err(raster())?)
+            }
+            false => None,
+        };
         Ok(SplatsInView { front, inverse, light, unoccluded, seen })
     }
 
-    /// Whether enough of the splats that a view sees are seen by few of the views that were added.
+    /// Whether enough of the splats that a view sees were seen by few of the views that had been added when it was rendered.
     pub fn needs(&self, view: &SplatsInView) -> bool {
-        let seen = view.seen.len().max(1) as f32;
+        view.inverse.is_some()
+    }
+
+    fn is_needed(&self, seen: &[u32]) -> bool {
         let fewer = |views: usize| {
             let known = |&&i: &&u32| self.sightings.count(i as usize) < views;
-            view.seen.iter().filter(known).count() as f32 / seen
+            seen.iter().filter(known).count() as f32 / seen.len().max(1) as f32
         };
         fewer(ENOUGH_VIEWS) >= MIN_NEEDED || fewer(FEW_VIEWS) >= MIN_URGENT
     }
@@ -242,11 +250,11 @@ impl<'a> TreeBuilder<'a> {
         self.shown.counts()
     }
 
-    /// Adds a view with the boundaries of its photo: one plane of strengths in [0, 1]. A view with more than 65,535 regions says
-    /// nothing of its splats, nor does any after so many views.
+    /// Adds a view with the boundaries of its photo: one plane of strengths in [0, 1]. A view that is not needed is only counted. A
+    /// view with more than 65,535 regions says nothing of its splats, nor does any after so many views.
     pub fn add(&mut self, view: SplatsInView, photo: &Image) {
         self.count(&view);
-        let SplatsInView { front, inverse, light, seen, .. } = view;
+        let SplatsInView { front, inverse: Some(inverse), light, seen, .. } = view else { return };
         let edges = depth_edges(&inverse);
         let trees: Vec<ContourTree> = CUE_WEIGHTS
             .par_iter()

@@ -29,6 +29,9 @@ const MAX_EMBEDDING: f32 = 1.5;
 /// measured click. `size`: Half and half more changed no measured click.
 const SPECTRAL_COST: LinkageCost = LinkageCost { least: 0.01, size: 0.2 };
 
+/// Nodes of trees that grow at once, at some 700 bytes each: beyond, trees grow one after the other.
+const NODES_AT_ONCE: usize = 8 << 20;
+
 impl TreeBuilder<'_> {
     /// The trees of the views.
     pub fn grow(self) -> SceneTree {
@@ -43,7 +46,11 @@ impl TreeBuilder<'_> {
 impl SplatGraph {
     /// All trees.
     pub fn grow(&self) -> Vec<GroupTree> {
-        TREES.par_iter().map(|&(cue, growth)| self.tree(cue, growth)).collect()
+        let at_once = (NODES_AT_ONCE / self.areas.len().max(1)).clamp(1, TREES.len());
+        let grown = |trees: &[(usize, Growth)]| -> Vec<GroupTree> {
+            trees.par_iter().map(|&(cue, growth)| self.tree(cue, growth)).collect()
+        };
+        TREES.chunks(at_once).flat_map(grown).collect()
     }
 
     fn tree(&self, cue: usize, growth: Growth) -> GroupTree {
