@@ -1,6 +1,7 @@
 //! The graph of splats whose distances the views vote on.
 
 use super::boundaries::{combined, depth_edges};
+use super::region_merges::RegionMerges;
 use super::sightings::{CUES, RegionsInView, Sightings};
 use super::tree::NONE;
 use crate::coverage::unoccluded;
@@ -11,7 +12,6 @@ use segwild_raster::{Channels, CpuEngine, Frame, FrontLayer, NO_SPLAT, ProjectOp
 use segwild_scene::statistics::median;
 use segwild_scene::{Image, Splats};
 use segwild_vision::ContourTree;
-use segwild_vision::linkage::MergeTree;
 
 /// Least share of a pixel that a splat must make up for the view to see it there (method, section 13). By choice. IoU by half,
 /// half more: +.098, 0 on the demo.
@@ -126,7 +126,7 @@ pub struct TreeBuilder<'a> {
     splats: &'a Splats,
     options: ProjectOptions,
     /// Per view, how its regions merge by each cue.
-    views: Vec<[MergeTree; CUES]>,
+    views: Vec<[RegionMerges; CUES]>,
     /// Per splat, the views that see it, in the order in which they were added.
     sightings: Sightings,
     /// Light in pixels that the views see of each splat.
@@ -260,14 +260,15 @@ impl<'a> TreeBuilder<'a> {
             .par_iter()
             .map(|weights| ContourTree::of(&combined([(weights[0], photo), (weights[1], &edges)])))
             .collect();
-        let countable = trees.iter().all(|tree| tree.merges.leaves <= usize::from(u16::MAX));
-        if let Some(number) = u16::try_from(self.views.len()).ok().filter(|_| countable) {
+        let merges: Option<Vec<RegionMerges>> =
+            trees.iter().map(|tree| RegionMerges::of(&tree.merges)).collect();
+        if let (Some(merges), Ok(number)) = (merges, u16::try_from(self.views.len())) {
             for &i in &seen {
                 let pixel = front.pixels[i as usize] as usize;
                 let regions = std::array::from_fn(|cue| trees[cue].labels[pixel] as u16);
                 self.sightings.add(i as usize, RegionsInView { view: number, regions });
             }
-            self.views.extend(trees.into_iter().map(|tree| tree.merges).collect::<Vec<_>>().try_into());
+            self.views.extend(merges.try_into());
         }
         for &i in &seen {
             self.light[i as usize] += light[i as usize];
@@ -370,8 +371,7 @@ impl<'a> TreeBuilder<'a> {
             while others.next_if(|other| other.view > at.view).is_some() {}
             let Some(other) = others.next_if(|other| other.view == at.view) else { continue };
             for (cue, merges) in self.views[usize::from(at.view)].iter().enumerate() {
-                let meet = merges.meet(at.regions[cue].into(), other.regions[cue].into());
-                heights[cue].push(merges.height[meet as usize]);
+                heights[cue].push(merges.height(at.regions[cue], other.regions[cue]));
             }
         }
         (!heights[0].is_empty()).then(|| heights.map(|of| median(of).expect("each view has all cues")))

@@ -16,6 +16,7 @@ mod leaf_map;
 mod mask_outlines;
 mod parts;
 mod query;
+mod region_merges;
 mod sightings;
 mod spectral;
 mod tree;
