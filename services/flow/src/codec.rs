@@ -193,8 +193,8 @@ fn write_error(kind: &str, error: &wincode::WriteError) -> CodecError {
     CodecError::Write { kind: kind.into(), reason: error.to_string() }
 }
 
-/// Writes a value as a record of a kind (`name/version` by custom, at most 64 printable ASCII characters). [`StreamedRecord`]
-/// writes large ones without holding them.
+/// Writes a value as a record of a kind (`name/version` by custom, at most 64 printable ASCII characters).
+/// [`StreamedRecord`] writes large ones without holding them.
 ///
 /// # Errors
 /// When the kind's name does not serve, or the record would pass [`SIZE_LIMIT`].
@@ -210,8 +210,8 @@ pub fn encode<T: Encode + ?Sized>(kind: &str, value: &T) -> Result<Vec<u8>, Code
     Ok(bytes)
 }
 
-/// A value about to be written as a record, with the same bytes as [`encode`] makes, which are never held at once. The value is
-/// encoded twice: for the hash in the header, and for the file.
+/// A value about to be written as a record, with the same bytes as [`encode`] makes, which are never held at once. The
+/// value is encoded twice: for the hash in the header, and for the file.
 ///
 /// ```
 /// use segwild_flow::codec::{StreamedRecord, encode, read_file};

@@ -225,8 +225,8 @@ impl NeighbourGraph {
     }
 }
 
-/// The rows that link every point with its nearest and with those that it is among the nearest of: their offsets, and the
-/// neighbours. `index` has the `k` nearest of each of `n` points, [`NONE`] where there are fewer.
+/// The rows that link every point with its nearest and with those that it is among the nearest of: their offsets, and
+/// the neighbours. `index` has the `k` nearest of each of `n` points, [`NONE`] where there are fewer.
 fn symmetric_rows(index: &[u32], k: usize, n: usize) -> (Vec<u32>, Vec<u32>) {
     let nearest = |i: usize| &index[i * k..(i + 1) * k];
     // Of two points that are among each other's nearest, each is in the other's row without being added there.
@@ -268,8 +268,8 @@ fn symmetric_rows(index: &[u32], k: usize, n: usize) -> (Vec<u32>, Vec<u32>) {
     (offsets, neighbours)
 }
 
-/// Calls a function with each row of `values` and its number, on all cores. Row `first + i` lies at `offsets[i]..offsets[i + 1]`,
-/// counted from `offsets[0]`.
+/// Calls a function with each row of `values` and its number, on all cores. Row `first + i` lies at
+/// `offsets[i]..offsets[i + 1]`, counted from `offsets[0]`.
 fn for_each_row<T: Send>(
     offsets: &[u32],
     first: usize,

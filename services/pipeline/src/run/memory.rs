@@ -23,7 +23,8 @@ const PER_OBSERVATION: f64 = 60.0;
 const COPIES: f64 = 12.0;
 /// Copies of a splat's parameters in a checkpoint: they and Adam's two moments.
 const CHECKPOINT_COPIES: f64 = 3.0;
-/// The same as [`COPIES`] for imported splats: the file's bytes, the splats as read and as placed, the model, and one in reserve.
+/// The same as [`COPIES`] for imported splats: the file's bytes, the splats as read and as placed, the model, and one in
+/// reserve.
 const IMPORT_COPIES: f64 = 5.0;
 /// Bytes per splat beside its parameters: projection, statistics.
 const PER_SPLAT: f64 = 200.0;

@@ -119,8 +119,9 @@ fn merged(mut borders: Vec<FrontBorder>) -> Vec<FrontBorder> {
     borders
 }
 
-/// Collects views. It holds about nine bytes per splat and view that sees it, and 20 per pair of neighbouring fronts. Splats
-/// that many views see need no more of them ([`TreeBuilder::needs`]), so that its size does not grow with a scene's photos.
+/// Collects views. It holds about nine bytes per splat and view that sees it, and 20 per pair of neighbouring fronts.
+/// Splats that many views see need no more of them ([`TreeBuilder::needs`]), so that its size does not grow with the
+/// photos of a scene.
 pub struct TreeBuilder<'a> {
     engine: CpuEngine,
     splats: &'a Splats,
@@ -226,7 +227,8 @@ impl<'a> TreeBuilder<'a> {
         Ok(SplatsInView { front, inverse, light, unoccluded, seen })
     }
 
-    /// Whether enough of the splats that a view sees were seen by few of the views that had been added when it was rendered.
+    /// Whether enough of the splats that a view sees were seen by few of the views that had been added when it was
+    /// rendered.
     pub fn needs(&self, view: &SplatsInView) -> bool {
         view.inverse.is_some()
     }
@@ -250,8 +252,8 @@ impl<'a> TreeBuilder<'a> {
         self.shown.counts()
     }
 
-    /// Adds a view with the boundaries of its photo: one plane of strengths in [0, 1]. A view that is not needed is only counted. A
-    /// view with more than 65,535 regions says nothing of its splats, nor does any after so many views.
+    /// Adds a view with the boundaries of its photo: one plane of strengths in [0, 1]. A view that is not needed is only
+    /// counted. A view with more than 65,535 regions says nothing of its splats, nor does any after so many views.
     pub fn add(&mut self, view: SplatsInView, photo: &Image) {
         self.count(&view);
         let SplatsInView { front, inverse: Some(inverse), light, seen, .. } = view else { return };

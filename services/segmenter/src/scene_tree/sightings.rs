@@ -28,8 +28,8 @@ struct SightingBlock {
     earlier: u32,
 }
 
-/// Sightings by splat. It holds 8 bytes per splat, and about 9 per sighting where there are many: the blocks of a splat are
-/// chained, and none is ever copied into a larger array.
+/// Sightings by splat. It holds 8 bytes per splat, and about 9 per sighting where there are many: the blocks of a splat
+/// are chained, and none is ever copied into a larger array.
 pub(super) struct Sightings {
     /// Per splat, how many there are.
     counts: Vec<u32>,
