@@ -4,6 +4,7 @@ use crate::photos::{PhotoLevel, Stored};
 use segwild_objective::compare::{mean_difference, untrusted};
 use segwild_objective::transients::contradicted;
 use segwild_scene::{Camera, Image, Point, Pose, Scene, View};
+use std::sync::Arc;
 
 /// Trust in the pixel of a point that the photo saw: a residual there counts for the rest.
 const TRUST: f32 = 0.9;
@@ -16,8 +17,10 @@ pub(crate) struct Posed {
     /// At the photo's full size.
     pub camera: Camera,
     pub pose: Pose,
-    /// Points this view saw: colour, and position as shares of width and height.
-    sightings: Vec<([f32; 3], [f32; 2])>,
+    /// Points this view saw: index of the colour, and position as shares of width and height.
+    sightings: Vec<(u32, [f32; 2])>,
+    /// sRGB colours of points, those of all views in one array.
+    colours: Arc<[[f32; 3]]>,
 }
 
 impl Posed {
@@ -71,18 +74,21 @@ impl Posed {
         self.sightings.len()
     }
 
-    fn of(view: &View) -> Posed {
-        Posed { name: view.name.clone(), camera: view.camera, pose: view.pose, sightings: Vec::new() }
+    fn of(view: &View, colours: Arc<[[f32; 3]]>) -> Posed {
+        let (name, sightings) = (view.name.clone(), Vec::new());
+        Posed { name, camera: view.camera, pose: view.pose, sightings, colours }
     }
 
-    fn saw(&mut self, point: &Point, pixel: [f32; 2]) {
+    /// Adds a sighting of the point of a colour, by its index.
+    fn saw(&mut self, colour: usize, pixel: [f32; 2]) {
         let at = [pixel[0] / self.camera.width as f32, pixel[1] / self.camera.height as f32];
-        self.sightings.push((point.colour, at));
+        self.sightings.push((colour as u32, at));
     }
 }
 
 pub(crate) fn posed(scene: &Scene) -> Vec<Posed> {
-    let mut views: Vec<Posed> = scene.views.iter().map(Posed::of).collect();
+    let colours: Arc<[[f32; 3]]> = scene.points.iter().map(|point| point.colour).collect();
+    let mut views: Vec<Posed> = scene.views.iter().map(|view| Posed::of(view, colours.clone())).collect();
     let mut counts = vec![0usize; views.len()];
     for seen in scene.points.iter().flat_map(|point| &point.track) {
         if let Some(count) = counts.get_mut(seen.view as usize) {
@@ -93,10 +99,10 @@ pub(crate) fn posed(scene: &Scene) -> Vec<Posed> {
     for (view, count) in views.iter_mut().zip(counts) {
         view.sightings.reserve_exact(count);
     }
-    for point in &scene.points {
+    for (index, point) in scene.points.iter().enumerate() {
         for o in &point.track {
             if let Some(view) = views.get_mut(o.view as usize) {
-                view.saw(point, o.pixel);
+                view.saw(index, o.pixel);
             }
         }
     }
@@ -105,11 +111,14 @@ pub(crate) fn posed(scene: &Scene) -> Vec<Posed> {
 
 /// One of them.
 pub(crate) fn posed_view(scene: &Scene, view: usize) -> Posed {
-    let mut posed = Posed::of(&scene.views[view]);
-    for point in &scene.points {
-        for o in point.track.iter().filter(|o| o.view as usize == view) {
-            posed.saw(point, o.pixel);
-        }
+    let seen = |point: &Point| {
+        let seen = point.track.iter().filter(|o| o.view as usize == view);
+        seen.map(|o| (point.colour, o.pixel)).collect::<Vec<_>>()
+    };
+    let seen: Vec<([f32; 3], [f32; 2])> = scene.points.iter().flat_map(seen).collect();
+    let mut posed = Posed::of(&scene.views[view], seen.iter().map(|(colour, _)| *colour).collect());
+    for (index, (_, pixel)) in seen.into_iter().enumerate() {
+        posed.saw(index, pixel);
     }
     posed
 }
@@ -121,7 +130,9 @@ pub(crate) fn colour_pairs(view: &Posed, stored: &Stored) -> Vec<([f32; 3], [f32
     view.sightings
         .iter()
         .filter(|(_, at)| at.iter().all(|v| (0.0..1.0).contains(v)))
-        .map(|(colour, at)| (*colour, (at[1] * h) as usize * photo.width + (at[0] * w) as usize))
+        .map(|(colour, at)| {
+            (view.colours[*colour as usize], (at[1] * h) as usize * photo.width + (at[0] * w) as usize)
+        })
         .filter(|&(_, i)| photo.counts(i))
         .map(|(colour, i)| (colour, photo.colour(i)))
         .collect()
