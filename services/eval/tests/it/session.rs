@@ -56,7 +56,10 @@ fn one_session_answers_many_clicks_in_steps_and_saves_what_one_command_saves() {
     assert!(names.contains(&AnswerStep::Photos(8)), "{names:?}");
     assert!(steps.iter().all(|(_, splats)| *splats > 0), "{steps:?}");
     // The object of the last answer is there before it is known how sure it is.
-    assert!(names.last() == Some(&AnswerStep::Selected) && last == Some(Session::selected(&first)), "{names:?}");
+    assert!(
+        names.last() == Some(&AnswerStep::Selected) && last == Some(Session::selected(&first)),
+        "{names:?}"
+    );
     session.save("first", &first).unwrap();
     session.save("second", &second.wait(|_, _| ()).unwrap()).unwrap();
     // One command at a time gives the same.

@@ -62,9 +62,11 @@ impl SplatGraph {
             }
             Growth::Spectral => {
                 let embedded = self.embedded(cue);
-                let edges = self.edges.iter().zip(&embedded).map(|(e, far)| {
-                    of(e, EDGE_WEIGHT * e.distances[cue] + (1.0 - EDGE_WEIGHT) * far)
-                });
+                let edges = self
+                    .edges
+                    .iter()
+                    .zip(&embedded)
+                    .map(|(e, far)| of(e, EDGE_WEIGHT * e.distances[cue] + (1.0 - EDGE_WEIGHT) * far));
                 agglomerate(&self.areas, edges, SPECTRAL_COST)
             }
         };
