@@ -2,6 +2,7 @@
 
 use crate::exit;
 use crate::failure::Failure;
+use crate::output::print_note;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_flow::{Stopper, shortage};
 use segwild_monitor::{MonitorSource, Server, serve};
@@ -33,7 +34,7 @@ pub fn listen(
 ) -> Result<Option<Server>, Failure> {
     let Some(address) = matches.get_one::<SocketAddr>("metrics-listen") else { return Ok(None) };
     let server = serve(*address, source, per_scene)?;
-    eprintln!("listening on http://{}", server.address());
+    print_note(&format!("listening on http://{}", server.address()));
     Ok(Some(server))
 }
 

@@ -35,6 +35,12 @@ pub fn print_line(line: &str) -> Result<(), Failure> {
     print_raw(&shown(line))
 }
 
+/// Prints a line on standard error. A log that cannot be written, as on a full disk, is no reason to end: `eprintln!` would
+/// panic.
+pub fn print_note(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
 fn print_raw(line: &str) -> Result<(), Failure> {
     match writeln!(std::io::stdout(), "{line}") {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),

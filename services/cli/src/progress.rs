@@ -7,6 +7,7 @@ use std::io::{IsTerminal, Write};
 use std::time::Duration;
 
 use crate::failure::plain;
+use crate::output::print_note;
 pub use segwild_monitor::words::duration;
 
 /// Shows the events of `events` until the sink is dropped.
@@ -92,17 +93,17 @@ pub fn stop_on_ctrl_c(stopper: &Stopper) -> std::io::Result<()> {
         if press > 1 {
             std::process::exit(crate::exit::INTERRUPTED.into());
         }
-        eprintln!("stopping where the run can continue; once more to stop at once");
+        print_note("stopping where the run can continue; once more to stop at once");
         stopper.stop();
         // Actors that do not come to an end are left behind after half a minute; who conducts them may hang as well.
         let late = || {
             let (_never, next) = std::sync::mpsc::channel::<()>();
             let _ = next.recv_timeout(LATEST);
-            eprintln!("it has not come to an end: stopped at once; the run can continue");
+            print_note("it has not come to an end: stopped at once; the run can continue");
             std::process::exit(crate::exit::INTERRUPTED.into());
         };
         if std::thread::Builder::new().name("deadline".into()).spawn(late).is_err() {
-            eprintln!("no thread is left to watch the end: press Ctrl-C again if it does not come");
+            print_note("no thread is left to watch the end: press Ctrl-C again if it does not come");
         }
     })
 }

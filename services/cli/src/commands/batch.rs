@@ -5,7 +5,7 @@ use crate::exit;
 use crate::failure::{Failure, plain};
 use crate::farm::{ReachedFarm, farm_args, reach, shown};
 use crate::operators::{have_files_to_open, listen, metrics_listen};
-use crate::output::{print_json, print_line};
+use crate::output::{print_json, print_line, print_note};
 use crate::progress::{duration, on_ctrl_c};
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_farm::{
@@ -72,7 +72,7 @@ pub fn batch(matches: &ArgMatches) -> Result<(), Failure> {
     let flags = stop.clone();
     on_ctrl_c(move |press| match press {
         1 => {
-            eprintln!("stopping the scenes where they can continue; once more to stop at once");
+            print_note("stopping the scenes where they can continue; once more to stop at once");
             flags.raise(StopLevel::Stop);
         }
         2 => flags.raise(StopLevel::AtOnce),
@@ -142,7 +142,7 @@ impl BatchOutput {
 
     fn show(&mut self, event: &BatchEvent) {
         if !self.json {
-            eprintln!("{}", plain(&in_words(event)));
+            print_note(&plain(&in_words(event)));
         } else if self.report.is_ok() {
             // Nobody listening is no reason to stop working.
             self.report = print_json(event);

@@ -6,7 +6,7 @@ use crate::exit;
 use crate::failure::{Failure, plain};
 use crate::farm::{farm_args, reach};
 use crate::operators::have_files_to_open;
-use crate::output::print_json;
+use crate::output::{print_json, print_note};
 use crate::progress::on_ctrl_c;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_farm::{Needs, StopBatch, StopLevel, WorkerTerms, usual_budget, work};
@@ -95,7 +95,7 @@ pub fn worker(matches: &ArgMatches) -> Result<(), Failure> {
     let flags = stop.clone();
     on_ctrl_c(move |press| match press {
         1 => {
-            eprintln!("storing what the scenes have, and handing them back; once more to stop at once");
+            print_note("storing what the scenes have, and handing them back; once more to stop at once");
             flags.raise(StopLevel::Stop);
         }
         2 => flags.raise(StopLevel::AtOnce),
@@ -124,11 +124,11 @@ pub fn worker(matches: &ArgMatches) -> Result<(), Failure> {
         classify: exit::class,
         stop,
     };
-    eprintln!("working for {}", farm.engine.address());
+    print_note(&format!("working for {}", farm.engine.address()));
     let mut report = Ok(());
     let stopped = work(terms, &mut |event| {
         if !json {
-            eprintln!("{}", plain(&in_words(event)));
+            print_note(&plain(&in_words(event)));
         } else if report.is_ok() {
             // Nobody listening is no reason to stop working.
             report = print_json(event);
@@ -141,11 +141,11 @@ pub fn worker(matches: &ArgMatches) -> Result<(), Failure> {
             code: exit::INTERRUPTED,
         }),
         true => {
-            eprintln!("stopped; other workers continue the scenes");
+            print_note("stopped; other workers continue the scenes");
             Ok(())
         }
         false => {
-            eprintln!("no scene is left");
+            print_note("no scene is left");
             Ok(())
         }
     }

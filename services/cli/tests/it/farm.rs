@@ -35,8 +35,20 @@ pub fn worker(dir: &Path, farm: &str, name: &str, more: &[&str]) -> Guarded {
 }
 
 /// The same, started by a command that ends in the program.
-pub fn worker_by(mut program: Command, dir: &Path, farm: &str, name: &str, more: &[&str]) -> Guarded {
-    let log = std::fs::File::options().create(true).append(true).open(dir.join(format!("{name}.log")));
+pub fn worker_by(program: Command, dir: &Path, farm: &str, name: &str, more: &[&str]) -> Guarded {
+    worker_with_log(program, dir, farm, name, &dir.join(format!("{name}.log")), more)
+}
+
+/// The same, with what it writes into this file.
+pub fn worker_with_log(
+    mut program: Command,
+    dir: &Path,
+    farm: &str,
+    name: &str,
+    log: &Path,
+    more: &[&str],
+) -> Guarded {
+    let log = std::fs::File::options().create(true).append(true).open(log);
     let child = program
         .args(["worker", "--farm", farm, "--needs", "cores=1,memory=2", "--store-every", "1", "--work"])
         .arg(dir.join(name))
