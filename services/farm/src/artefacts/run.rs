@@ -159,7 +159,8 @@ impl ArtefactSession {
                 Err(error) => return Err(error),
             }
         }
-        self.store_manifest(run, entries)
+        // On the disk of the run: if that one is full, the error names it.
+        self.store_manifest(run, entries, &aside.0)
     }
 
     /// Fetches a run such that `segwild run` continues it in `into`. The ledger comes last: what is fetched in part is no

@@ -72,7 +72,8 @@ impl ArtefactSession {
     ) -> Result<ArtefactDigest, ArtefactError> {
         let found = walk::files(folder, &self.limits, wanted)?;
         let entries = self.store_files(&found, Gone::Refused)?;
-        self.store_manifest(folder, entries)
+        // The folder may be one that this process only reads.
+        self.store_manifest(folder, entries, &std::env::temp_dir())
     }
 
     /// Fetches a folder. Files that are there with the right digest stay as they are; others of these names are replaced;
@@ -154,10 +155,12 @@ impl ArtefactSession {
         Ok((digest, bytes))
     }
 
+    /// Stores the manifest of a folder, by way of a file in `aside`.
     pub(super) fn store_manifest(
         &self,
         folder: &Path,
         entries: Vec<FolderEntry>,
+        aside: &Path,
     ) -> Result<ArtefactDigest, ArtefactError> {
         let manifest = FolderManifest::new(entries);
         let unfit = |reason| ArtefactError::Unfit { path: folder.to_owned(), reason };
@@ -167,10 +170,10 @@ impl ArtefactSession {
             return Err(unfit(UnfitFolderError::Listing(json.len())));
         }
         let digest = ArtefactDigest::of(&json);
-        let file = std::env::temp_dir().join(files::unique_name(".segwild-manifest"));
+        let file = aside.join(files::unique_name(".segwild-manifest"));
         let stored = files::write_private(&file, &json).map_err(ArtefactError::from);
         let stored = stored.and_then(|()| self.put(&digest, &file));
-        // In the folder of the system it is only litter.
+        // It was ours alone; one that stays is only litter.
         let _ = std::fs::remove_file(&file);
         stored.map(|()| digest)
     }

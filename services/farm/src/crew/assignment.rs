@@ -49,6 +49,11 @@ pub(super) enum Step {
         /// How long that took, in seconds.
         seconds: f64,
     },
+    /// Its process has ended as it should, and what it made could not be stored: that is tried once more.
+    Unstored {
+        /// Why.
+        words: String,
+    },
     /// It is over: how its process ended, and the artefact with what it left.
     Over,
 }
@@ -68,6 +73,10 @@ pub(super) struct Assignment {
     ended_at: Option<Instant>,
     /// Whether what it left was stored, or need not be.
     is_settled: bool,
+    /// Whether what its process made is stored for the second time, because the first one failed.
+    pub stores_again: bool,
+    /// Whether its process ended as it should, and what it made could not be stored.
+    pub is_unstored: bool,
 }
 
 impl Assignment {
@@ -82,6 +91,8 @@ impl Assignment {
             ended: None,
             ended_at: None,
             is_settled: false,
+            stores_again: false,
+            is_unstored: false,
         };
         if assignment.host.is_remote() {
             let (host, lease) = (assignment.host.clone(), assignment.worker.lease.clone());
@@ -164,7 +175,12 @@ impl Assignment {
             }
             Err(failure) => {
                 if self.is_settled && matches!(self.ended, Some(Ended::Code(Some(0)))) {
+                    if !std::mem::replace(&mut self.stores_again, true) {
+                        self.is_settled = false;
+                        return Step::Unstored { words: failure.words };
+                    }
                     // A result that nobody finds is none.
+                    self.is_unstored = true;
                     let words = format!("its result could not be stored: {failure}");
                     self.ended = Some(Ended::NotStarted(failure.class, words));
                 } else {

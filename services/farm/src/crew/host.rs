@@ -44,11 +44,16 @@ pub(crate) trait SceneHost: Send + Sync {
     /// Why it cannot.
     fn store(&self, scene: &SceneJob) -> Result<Option<String>, HostFailure>;
 
-    /// The machine has nothing to do with a scene any more, unless it takes it again (`may_return`).
-    fn leave(&self, scene: &SceneJob, may_return: bool);
+    /// The machine has nothing to do with a scene any more, unless it takes it again (`may_return`). Returns whether something
+    /// is to be deleted: see [`SceneHost::clear`].
+    fn leave(&self, scene: &SceneJob, may_return: bool) -> bool;
 
-    /// Removes what scenes left that the machine has not got now, to gain space: they are stored, or are started again.
-    fn reclaim(&self, here: &[&SceneJob]);
+    /// Puts aside what scenes left that the machine has not got now, to gain space: they are stored, or are started again.
+    /// Returns whether something is to be deleted.
+    fn reclaim(&self, here: &[&SceneJob]) -> bool;
+
+    /// Deletes what was put aside. That may take long.
+    fn clear(&self);
 }
 
 /// The host of a batch on one machine: photos and run folders are where the manifest names them.
@@ -75,7 +80,13 @@ impl SceneHost for LocalHost {
         Ok(None)
     }
 
-    fn leave(&self, _: &SceneJob, _: bool) {}
+    fn leave(&self, _: &SceneJob, _: bool) -> bool {
+        false
+    }
 
-    fn reclaim(&self, _: &[&SceneJob]) {}
+    fn reclaim(&self, _: &[&SceneJob]) -> bool {
+        false
+    }
+
+    fn clear(&self) {}
 }

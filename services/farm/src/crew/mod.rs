@@ -13,6 +13,7 @@ mod stop;
 
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 pub(crate) use disk::DiskGate;
@@ -23,6 +24,7 @@ pub use stop::{StopBatch, StopLevel};
 
 use self::assignment::{Assignment, Step};
 use self::child::{Ended, SceneWorker};
+use self::disk::DiskPause;
 use crate::clock::{JobClock, SystemClock};
 use crate::engine::{
     EngineError, ErrorClass, JobEngine, JobFate, JobLease, JobState, JobStatus, WorkerOffer,
@@ -77,8 +79,19 @@ impl CrewTerms<'_> {
     /// Works until nothing is left, or until a stop is requested; returns whether it was interrupted. Whatever goes wrong, no
     /// process is left running.
     pub fn work(self) -> Result<bool, EngineError> {
-        let mut crew =
-            Crew { terms: self, assignments: Vec::new(), silent: false, announced: None, pause_noted: false };
+        let mut crew = Crew {
+            // What a process before this one could not delete any more.
+            to_clear: self.host.is_remote(),
+            terms: self,
+            assignments: Vec::new(),
+            silent: false,
+            announced: None,
+            pause: None,
+            filled: false,
+            reclaimed: false,
+            clearing: None,
+            unstored: Vec::new(),
+        };
         let outcome = crew.conduct();
         crew.abandon();
         outcome
@@ -92,8 +105,18 @@ struct Crew<'a> {
     silent: bool,
     /// When it last announced to its farm what it has.
     announced: Option<Instant>,
-    /// Whether the engine has noted that this machine takes no scenes.
-    pause_noted: bool,
+    /// Why this machine takes no scenes, as the engine has noted it.
+    pause: Option<DiskPause>,
+    /// A scene has filled the disk: how much is free after it is measured once what it left is deleted.
+    filled: bool,
+    /// Whether space was made since the disk was last found to be short of it.
+    reclaimed: bool,
+    /// Deletes what was put aside.
+    clearing: Option<JoinHandle<()>>,
+    /// Whether more was put aside meanwhile.
+    to_clear: bool,
+    /// Scenes that are done here and could not be stored: their folders stay as long as nobody else has them.
+    unstored: Vec<SceneJob>,
 }
 
 impl Crew<'_> {
@@ -111,6 +134,7 @@ impl Crew<'_> {
             for assignment in &mut self.assignments {
                 assignment.worker.check_progress(self.terms.patience_s);
             }
+            self.is_clearing();
             let changed = self.reap()?;
             self.beat()?;
             if clocks_read.is_none_or(|at| at.elapsed() >= ASK_EVERY) {
@@ -208,6 +232,11 @@ impl Crew<'_> {
         let announced = self.terms.engine.announce(&self.offer(self.free()));
         if self.answered(announced)?.is_some() {
             self.announced = Some(Instant::now());
+            // A farm may forget a worker, or be set up again.
+            if let Some(pause) = self.pause.clone() {
+                let noted = self.terms.engine.note_pause(&self.terms.name, Some(&pause.words));
+                self.answered(noted)?;
+            }
         }
         Ok(())
     }
@@ -256,29 +285,76 @@ impl Crew<'_> {
 
     /// Whether the disk has no space for a further scene. When that changes, the farm and who watches this machine learn why.
     fn is_short_of_space(&mut self) -> Result<bool, EngineError> {
-        let mut reason = self.terms.disk.as_mut().and_then(DiskGate::closed);
-        if reason.is_some() && !self.pause_noted {
+        let is_clearing = self.is_clearing();
+        let Some(disk) = &mut self.terms.disk else { return Ok(false) };
+        if is_clearing {
+            // How much is free shows once that is over.
+            return Ok(self.filled || disk.closed().is_some());
+        }
+        if std::mem::take(&mut self.filled) {
+            disk.fill();
+        }
+        let pause = disk.closed();
+        self.reclaimed &= pause.is_some();
+        if pause.is_some() && self.pause.is_none() && !std::mem::replace(&mut self.reclaimed, true) {
             // What scenes left that went elsewhere may be all that is too much.
             self.reclaim();
-            reason = self.terms.disk.as_mut().and_then(DiskGate::closed);
+            if self.is_clearing() {
+                return Ok(true);
+            }
         }
-        if reason.is_some() != self.pause_noted {
-            let noted = self.terms.engine.note_pause(&self.terms.name, reason.as_deref());
+        let is_noted = match (&pause, &self.pause) {
+            (Some(now), Some(before)) => now.has_reason_of(before),
+            (now, before) => now.is_some() == before.is_some(),
+        };
+        if !is_noted {
+            let words = pause.as_ref().map(|pause| pause.words.as_str());
+            let noted = self.terms.engine.note_pause(&self.terms.name, words);
             if self.answered(noted)?.is_some() {
-                self.pause_noted = reason.is_some();
-                (self.terms.tell)(&match &reason {
-                    Some(reason) => BatchEvent::WorkerPaused { reason: reason.clone() },
+                self.pause.clone_from(&pause);
+                (self.terms.tell)(&match &pause {
+                    Some(pause) => BatchEvent::WorkerPaused { reason: pause.words.clone() },
                     None => BatchEvent::WorkerResumed,
                 });
             }
         }
-        Ok(reason.is_some())
+        Ok(pause.is_some())
     }
 
     /// Removes what scenes left that this machine has not got now.
-    fn reclaim(&self) {
-        let here: Vec<&SceneJob> = self.assignments.iter().map(|a| &a.worker.scene).collect();
-        self.terms.host.reclaim(&here);
+    fn reclaim(&mut self) {
+        if !self.unstored.is_empty() {
+            let jobs = self.terms.engine.jobs();
+            // Of a scene that somebody else has taken, what is here is worth nothing.
+            self.unstored.retain(|scene| {
+                let waits = |job: &JobStatus| job.job.id == scene.name && job.state == JobState::Pending;
+                jobs.as_ref().map_or(true, |jobs| jobs.iter().any(waits))
+            });
+        }
+        let own = self.assignments.iter().map(|a| &a.worker.scene);
+        let here: Vec<&SceneJob> = own.chain(&self.unstored).collect();
+        self.to_clear |= self.terms.host.reclaim(&here);
+    }
+
+    /// Deletes what was put aside, on a thread of its own: a run folder may take seconds, and leases must be renewed.
+    /// Returns whether it is still at that.
+    fn is_clearing(&mut self) -> bool {
+        if self.clearing.as_ref().is_some_and(|clearing| !clearing.is_finished()) {
+            return true;
+        }
+        if let Some(ended) = self.clearing.take() {
+            // One that panicked has left what it could not delete.
+            let _ = ended.join();
+        }
+        if !std::mem::take(&mut self.to_clear) {
+            return false;
+        }
+        let host = self.terms.host.clone();
+        match std::thread::Builder::new().name("clearing".into()).spawn(move || host.clear()) {
+            Ok(clearing) => self.clearing = Some(clearing),
+            Err(_) => self.terms.host.clear(),
+        }
+        self.clearing.is_some()
     }
 
     /// Whether the disk is at fault for a failure, by its words.
@@ -305,15 +381,13 @@ impl Crew<'_> {
         }
     }
 
-    /// Notes what the end of a scene says of the disk: it is done, or the disk was full. A full one is freed as far as it can be.
+    /// Notes that a scene is done, or that the disk was full. A full one is freed as far as it can be.
     fn count_disk(&mut self, done: bool, full: bool) {
         if full {
             self.reclaim();
-        }
-        match &mut self.terms.disk {
-            Some(disk) if full => disk.fill(),
-            Some(disk) if done => disk.done(),
-            _ => {}
+            (self.filled, self.reclaimed) = (true, true);
+        } else if let Some(disk) = self.terms.disk.as_mut().filter(|_| done) {
+            disk.done();
         }
     }
 
@@ -323,6 +397,11 @@ impl Crew<'_> {
         let mut i = 0;
         // In the order in which they were claimed: the most urgent process is started first.
         while i < self.assignments.len() {
+            if self.assignments[i].stores_again && self.is_clearing() {
+                // It may have more space then.
+                i += 1;
+                continue;
+            }
             let assignment = &mut self.assignments[i];
             let (waited, had_started) = (assignment.worker.waits.is_some(), assignment.worker.has_started());
             let step = assignment.advance(
@@ -351,13 +430,25 @@ impl Crew<'_> {
                     }
                     i += 1;
                 }
+                Step::Unstored { words } => {
+                    let scene = &self.assignments[i].worker.scene.name;
+                    tracing::warn!(%scene, %words, "the result could not be stored; that is tried once more");
+                    if self.is_refused_by_disk(&words) {
+                        self.reclaim();
+                    }
+                    i += 1;
+                }
                 Step::Over => {
                     let full = self.ended_by_disk(&self.assignments[i]);
                     if self.book(i, full)? {
                         let ended = self.assignments.remove(i);
                         let done = matches!(ended.ended, Some(Ended::Code(Some(0))));
-                        // What is here of a scene that filled the disk goes: it continues from what is stored.
-                        self.terms.host.leave(&ended.worker.scene, !done && !full);
+                        // What is here of a scene that filled the disk goes: it continues from what is stored. One that is
+                        // done and could not be stored stays: all that is left to do is to store it.
+                        let (scene, stays) = (ended.worker.scene, ended.is_unstored || !done && !full);
+                        self.to_clear |= self.terms.host.leave(&scene, stays);
+                        self.unstored.retain(|other| other.out != scene.out);
+                        self.unstored.extend(ended.is_unstored.then_some(scene));
                         self.count_disk(done, full);
                         changed = true;
                     } else {
@@ -450,13 +541,23 @@ impl Crew<'_> {
         Ok(())
     }
 
-    /// After an error: stops who still runs.
+    /// At the end, or after an error: stops who still runs, and is no worker any more that takes no scenes.
     fn abandon(&mut self) {
         for assignment in &mut self.assignments {
             assignment.worker.ask_to_stop();
         }
         for mut assignment in self.assignments.drain(..) {
             assignment.worker.wait();
+        }
+        if self.pause.take().is_some()
+            && let Err(error) = self.terms.engine.note_pause(&self.terms.name, None)
+        {
+            tracing::warn!(%error, "the farm shows this worker as one that takes no scenes");
+        }
+        while self.is_clearing() {
+            if let Some(clearing) = self.clearing.take() {
+                let _ = clearing.join();
+            }
         }
     }
 }

@@ -17,6 +17,7 @@ use crate::manifest::SceneJob;
 /// WORK/inputs/DIGEST/          photos and cameras
 /// WORK/runs/BATCH/SCENE/       run folders
 /// WORK/stored/BATCH/SCENE      the artefact that a run folder was last stored as, or fetched from
+/// WORK/removed/                what is being deleted
 /// ```
 pub(super) struct FarmHost {
     folder: PathBuf,
@@ -27,7 +28,21 @@ pub(super) struct FarmHost {
 
 impl FarmHost {
     pub fn new(folder: &Path, artefacts: ArtefactSession) -> Self {
+        // Made as long as there is space. Without it folders are deleted where they are.
+        let _ = std::fs::create_dir_all(removed_in(folder));
         Self { folder: folder.to_owned(), artefacts, used: Mutex::default() }
+    }
+
+    /// Puts a folder aside, to be deleted; returns whether there was one.
+    fn put_aside(&self, folder: &Path) -> bool {
+        if !folder.is_dir() {
+            return false;
+        }
+        let aside = removed_in(&self.folder).join(files::unique_name("scene"));
+        if std::fs::rename(folder, &aside).is_err() {
+            delete(folder);
+        }
+        true
     }
 
     /// The artefact that a run folder continues.
@@ -59,6 +74,18 @@ fn folders_in(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let folders = entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir()));
     folders.map(|entry| entry.path()).collect()
+}
+
+/// Where folders are until they are deleted.
+fn removed_in(folder: &Path) -> PathBuf {
+    folder.join("removed")
+}
+
+/// Deletes what a scene left. What stays only takes space.
+fn delete(folder: &Path) {
+    if let Err(failure) = removed(folder) {
+        tracing::warn!(%failure, "what a scene left cannot be removed");
+    }
 }
 
 fn removed(folder: &Path) -> Result<(), HostFailure> {
@@ -109,11 +136,14 @@ impl SceneHost for FarmHost {
             return Ok(None);
         }
         let artefact = self.artefacts.store_run(&scene.out).map_err(failure)?.to_string();
-        self.note_stored(scene, &artefact)?;
+        if let Err(failure) = self.note_stored(scene, &artefact) {
+            // It is stored. Where this machine takes the scene again, it is fetched.
+            tracing::warn!(%failure, "which artefact a run folder was stored as cannot be noted");
+        }
         Ok(Some(artefact))
     }
 
-    fn leave(&self, scene: &SceneJob, may_return: bool) {
+    fn leave(&self, scene: &SceneJob, may_return: bool) -> bool {
         let mut used = lock(&self.used);
         let left = used.get(&scene.path).copied().unwrap_or_default().saturating_sub(1);
         match left {
@@ -121,34 +151,79 @@ impl SceneHost for FarmHost {
             _ => drop(used.insert(scene.path.clone(), left)),
         }
         if may_return {
-            return;
-        }
-        let mut unwanted = vec![scene.out.clone()];
-        unwanted.extend((left == 0).then(|| scene.path.clone()));
-        for folder in unwanted {
-            if let Err(failure) = removed(&folder) {
-                tracing::warn!(%failure, "what a scene left cannot be removed");
-            }
+            return false;
         }
         // It may not be there.
         let _ = std::fs::remove_file(self.stored_file(scene));
+        let run = self.put_aside(&scene.out);
+        // While `used` is held, no other scene fetches the same photos into a folder that goes.
+        let input = left == 0 && self.put_aside(&scene.path);
+        run || input
     }
 
-    fn reclaim(&self, here: &[&SceneJob]) {
+    fn reclaim(&self, here: &[&SceneJob]) -> bool {
         let used = lock(&self.used);
         let runs = self.folder.join("runs");
         let mut unwanted = folders_in(&self.folder.join("inputs"));
         unwanted.retain(|input| !used.contains_key(input));
         unwanted.extend(folders_in(&runs).iter().flat_map(|batch| folders_in(batch)));
         unwanted.retain(|folder| !here.iter().any(|scene| scene.path == *folder || scene.out == *folder));
+        let mut found = false;
         for folder in unwanted {
-            if let Err(failure) = removed(&folder) {
-                tracing::warn!(%failure, "what a scene left cannot be removed");
-            }
+            found |= self.put_aside(&folder);
             if let Ok(name) = folder.strip_prefix(&runs) {
                 // It may not be there.
                 let _ = std::fs::remove_file(self.folder.join("stored").join(name));
             }
         }
+        found
+    }
+
+    fn clear(&self) {
+        folders_in(&removed_in(&self.folder)).iter().for_each(|folder| delete(folder));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::artefacts::ObjectArtefacts;
+    use std::sync::Arc;
+
+    #[test]
+    fn what_scenes_left_goes_at_once_and_what_the_machine_has_stays() {
+        let dir = tempfile::tempdir().expect("a temporary folder");
+        let store = ObjectArtefacts::open(&dir.path().join("store").to_string_lossy()).expect("a store");
+        let work = dir.path().join("work");
+        let host = FarmHost::new(&work, ArtefactSession::new(Arc::new(store)));
+        let scene = |name: &str, photos: &str| {
+            let job = SceneJob {
+                name: format!("night/{name}"),
+                path: work.join("inputs").join(photos),
+                out: work.join("runs/night").join(name),
+                settings: BTreeMap::new(),
+                until: None,
+            };
+            for folder in [&job.path, &job.out] {
+                std::fs::create_dir_all(folder).expect("a folder");
+                files::write_plain(folder.join("file"), "of the scene").expect("it is written");
+            }
+            job
+        };
+        let (left, kept, done) = (scene("left", "x"), scene("kept", "y"), scene("done", "y"));
+        lock(&host.used).insert(kept.path.clone(), 2);
+        let is_there = |scene: &SceneJob| (scene.out.exists(), scene.path.exists());
+        assert!(host.reclaim(&[&kept, &done]) && !host.reclaim(&[&kept, &done]), "there was one");
+        assert_eq!([&left, &kept, &done].map(is_there), [(false, false), (true, true), (true, true)]);
+        assert!(!host.leave(&kept, true), "it may return");
+        // Nobody else uses the photos any more.
+        assert!(host.leave(&done, false));
+        assert_eq!([&kept, &done].map(is_there), [(true, false), (false, false)]);
+        assert!(!folders_in(&removed_in(&work)).is_empty());
+        host.clear();
+        assert!(folders_in(&removed_in(&work)).is_empty());
+        // Where it cannot be put aside, it is deleted on the way.
+        std::fs::remove_dir(removed_in(&work)).expect("it is empty");
+        assert!(host.leave(&kept, false) && !kept.out.exists());
     }
 }
