@@ -1,5 +1,6 @@
 //! What requests do and why they are refused, whether they come as JSON or as gRPC.
 
+use crate::document::ObjectId;
 use crate::messages::{RunEntry, StateMessage, StudioAction, TrainingMessage};
 use crate::runs::{Found, ServedRuns};
 use crate::{Studio, StudioError};
@@ -104,6 +105,12 @@ pub(crate) async fn answered<T: Send + 'static>(
 ) -> Answered<T> {
     let studio = session(runs, run)?;
     apart(move || Ok(work(studio)?)).await
+}
+
+/// Writes an object as a selection of the run; returns its name. It waits for its turn without a thread.
+pub(crate) async fn save(runs: &Runs, run: &str, object: ObjectId) -> Answered<String> {
+    let written = session(runs, run)?.save_in_turn(object)?;
+    Ok(written.await.map_err(|_| Refusal::broken())??)
 }
 
 /// The view of operators, as `segwild status --json` prints it: of the folder, or of the farm where there is no folder.

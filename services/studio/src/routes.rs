@@ -324,7 +324,7 @@ async fn transients(
 
 async fn save(State(runs): State<Runs>, Path((run, object)): Path<(String, String)>) -> Answered<Response> {
     let object = number(&object)?;
-    let name = answered(&runs, &run, move |studio| studio.save(object)).await?;
+    let name = calls::save(&runs, &run, object).await?;
     Ok(Json(serde_json::json!({ "selection": name })).into_response())
 }
 

@@ -284,6 +284,11 @@ impl ServedRuns {
 impl Drop for ServedRuns {
     fn drop(&mut self) {
         self.stopper.stop();
+        for state in self.open().values() {
+            if let OpenState::Open { studio, .. } = state {
+                studio.stop_answers();
+            }
+        }
     }
 }
 

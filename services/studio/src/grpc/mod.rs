@@ -244,7 +244,7 @@ impl Session for SessionService {
 
     async fn save(&self, request: Request<v1::ObjectRequest>) -> Reply<v1::SaveResponse> {
         let v1::ObjectRequest { run, object } = request.into_inner();
-        let selection = answered(&self.runs, &run, move |studio| studio.save(object)).await?;
+        let selection = calls::save(&self.runs, &run, object).await?;
         reply(v1::SaveResponse { selection })
     }
 

@@ -56,6 +56,9 @@ impl Studio {
     pub(super) fn answer_aside(&self, replay: &Replay) -> Result<Answer, RunError> {
         let settings = self.settings_of(replay);
         loop {
+            if self.stopper.phase() != Phase::Running {
+                return Err(RunError::Interrupted);
+            }
             let state = self.state();
             let (busy, stopper) = (state.answer.message.state == "working", state.aside.clone());
             drop(state);
@@ -168,7 +171,7 @@ fn answer(studio: &Weak<Studio>, number: u64, replay: &Replay, stopper: &Stopper
                 answer.done = Some(done.clone());
             });
         }
-        Err(RunError::Interrupted) => {}
+        // One that a further click has ended is not the present one any more; one that ends with the server has failed.
         Err(error) => show(&|answer| {
             answer.message.state = "failed";
             answer.message.error = Some(error.to_string());

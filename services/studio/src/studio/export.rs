@@ -1,11 +1,38 @@
 //! Objects as files.
 
 use super::state::{LOST, Studio, StudioError, mark};
+use super::writes::WriteQueue;
 use crate::document::ObjectId;
 use segwild_flow::{FileError, Stopper, lock};
 use segwild_pipeline::{ObjectList, Selected};
 use segwild_scene::SplatFormat;
 use std::sync::Arc;
+use tokio::sync::oneshot;
+
+/// The thread that writes objects as selections. A write may need a whole answer, which gives way to clicks: it may take minutes,
+/// and the threads of the server are for those who click.
+struct WriteThread(Arc<Studio>);
+
+impl WriteThread {
+    fn run(&self) {
+        let WriteThread(studio) = self;
+        loop {
+            let next = lock(&studio.writes).take();
+            let Some((id, written)) = next else { return };
+            // Who waited may have gone: the object is written all the same.
+            let _ = written.send(studio.save(id));
+        }
+    }
+}
+
+impl Drop for WriteThread {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            // Those that wait get an answer, and the next one starts a thread.
+            *lock(&self.0.writes) = WriteQueue::default();
+        }
+    }
+}
 
 impl Studio {
     pub(super) fn selection_of(&self, id: ObjectId) -> Result<Arc<Selected>, StudioError> {
@@ -101,6 +128,27 @@ impl Studio {
         let selection = name.as_str();
         self.session.save(selection, &answer)?;
         Ok(name)
+    }
+
+    /// [`Studio::save`], after the writes that were requested before. What is returned receives how it ended.
+    ///
+    /// # Errors
+    /// When too many writes wait, or no thread can be started.
+    pub(crate) fn save_in_turn(
+        self: &Arc<Self>,
+        id: ObjectId,
+    ) -> Result<oneshot::Receiver<Result<String, StudioError>>, StudioError> {
+        let mut writes = lock(&self.writes);
+        if writes.is_full() {
+            return Err(StudioError::Request("too many objects wait to be written: write this one later"));
+        }
+        if writes.is_idle() {
+            // It waits for the lock, and then finds the write.
+            let thread = WriteThread(self.clone());
+            let started = std::thread::Builder::new().name("studio writes".into()).spawn(move || thread.run());
+            started.map_err(|_| StudioError::Request("no thread can be started to write it: try again"))?;
+        }
+        Ok(writes.add(id))
     }
 
     /// The sheet of the listed objects' thumbnails, as PNG.

@@ -24,6 +24,31 @@ impl Drop for ProviderTurn {
     }
 }
 
+/// The one photo at a time that a provider analyses ahead of a click. It ends when it is dropped.
+struct Preparation(Arc<Studio>);
+
+impl Preparation {
+    fn start(studio: &Arc<Studio>) -> Option<Preparation> {
+        let is_free = !studio.preparing.swap(true, Ordering::AcqRel);
+        is_free.then(|| Preparation(studio.clone()))
+    }
+
+    fn of(&self, photo: usize) {
+        let Preparation(studio) = self;
+        // A photo that cannot be read is not tried again before another one was.
+        if !matches!(studio.session.is_prepared(photo), Ok(true)) {
+            studio.session.prepare(photo);
+        }
+        studio.prepared.store(photo, Ordering::Relaxed);
+    }
+}
+
+impl Drop for Preparation {
+    fn drop(&mut self) {
+        self.0.preparing.store(false, Ordering::Release);
+    }
+}
+
 impl Studio {
     /// The candidate at a position of a photo, without a click; `None` where there is none. It is the mask of a provider that finds
     /// objects, as that of a click would be, where the provider has it in time; otherwise the group of the scene tree.
@@ -67,14 +92,15 @@ impl Studio {
     }
 
     /// Lets a provider that finds no objects by itself analyse the photo under the pointer: a click in it needs that.
-    /// The answer is the same without.
+    /// The answer is the same without. While one is analysed, no other one is: a pointer that goes over many photos starts no
+    /// thread for each.
     fn prepare(self: &Arc<Self>, photo: usize) {
-        if self.session.finds_objects() || self.prepared.swap(photo, Ordering::Relaxed) == photo {
+        if self.session.finds_objects() || self.prepared.load(Ordering::Relaxed) == photo {
             return;
         }
-        let studio = self.clone();
-        let work = move || studio.session.prepare(photo);
+        let Some(preparation) = Preparation::start(self) else { return };
         // Without a thread the click does it.
+        let work = move || preparation.of(photo);
         let _ = std::thread::Builder::new().name("studio prepare".into()).spawn(work);
     }
 

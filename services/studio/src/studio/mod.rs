@@ -10,6 +10,7 @@ mod show;
 mod state;
 mod transients;
 mod turns;
+mod writes;
 
 pub(crate) use show::{JPEG_QUALITY, three_planes};
 pub use state::{ANSWER_COLOUR, COLOURS, Studio, StudioError};
@@ -27,7 +28,7 @@ use segwild_pipeline::{
 };
 use segwild_scene::statistics::upper_median;
 use state::{GrowingAnswer, NO_PHOTO, StudioState};
-use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::{AtomicBool, AtomicUsize};
 use std::sync::{Arc, Mutex, OnceLock};
 use tokio::sync::watch;
 
@@ -104,6 +105,9 @@ impl Studio {
             kept: Mutex::default(),
             turns: Mutex::default(),
             prepared: AtomicUsize::new(NO_PHOTO),
+            preparing: AtomicBool::new(false),
+            writes: Mutex::default(),
+            stopper: stopper.clone(),
         });
         studio.recover(opened.earlier);
         studio.ask_again();

@@ -2,6 +2,7 @@
 
 use super::kept::KeptAnswers;
 use super::turns::ProviderTurns;
+use super::writes::WriteQueue;
 use crate::document::{Document, DocumentError, Journal, JournalError};
 use crate::fronts::FrontMaps;
 use crate::messages::AnswerMessage;
@@ -10,7 +11,7 @@ use segwild_flow::{FileError, Stopper, lock};
 use segwild_pipeline::{Answer, ObjectList, RunError, Selected, Session, ShownScene};
 use segwild_scene::SceneError;
 use segwild_segmenter::{NeighbourGraph, SegmentSettings};
-use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::{AtomicBool, AtomicUsize};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 use tokio::sync::watch;
 
@@ -85,6 +86,12 @@ pub struct Studio {
     pub(super) turns: Mutex<ProviderTurns>,
     /// The photo that was prepared for a click last, or [`NO_PHOTO`].
     pub(super) prepared: AtomicUsize,
+    /// Whether a photo is prepared now.
+    pub(super) preparing: AtomicBool,
+    /// Objects that are to be written as selections.
+    pub(super) writes: Mutex<WriteQueue<Result<String, StudioError>>>,
+    /// Ends what nobody waits for any more: the server's.
+    pub(super) stopper: Stopper,
 }
 
 /// Stands for no photo's index.
@@ -131,11 +138,20 @@ impl Studio {
     }
 }
 
-impl Drop for Studio {
-    fn drop(&mut self) {
-        if let Some(stopper) = self.state().answer.stopper.take() {
+impl Studio {
+    /// Ends the answers that are being made.
+    pub(crate) fn stop_answers(&self) {
+        let mut state = self.state();
+        state.aside.stop();
+        if let Some(stopper) = state.answer.stopper.take() {
             stopper.stop();
         }
+    }
+}
+
+impl Drop for Studio {
+    fn drop(&mut self) {
+        self.stop_answers();
     }
 }
 
