@@ -92,7 +92,7 @@ pub fn shown(engine: &Arc<NatsEngine>) -> MonitorTarget {
 
 /// A farm as the page shows it, under its address.
 pub fn shown_farm(engine: &Arc<NatsEngine>) -> FarmTarget {
-    FarmTarget { name: engine.address().to_string(), engine: engine.clone() }
+    FarmTarget::new(engine.address().to_string(), engine.clone())
 }
 
 /// What a command shows: the farm of `--farm`, or the folder of a run or a batch.

@@ -28,6 +28,15 @@ impl Needs {
             && self.accelerators <= free.accelerators
     }
 
+    /// These and others together.
+    pub fn with(&self, others: &Needs) -> Needs {
+        Needs {
+            cores: self.cores.saturating_add(others.cores),
+            memory_bytes: self.memory_bytes.saturating_add(others.memory_bytes),
+            accelerators: self.accelerators.saturating_add(others.accelerators),
+        }
+    }
+
     /// What is left of a budget when these are taken out of it.
     pub fn taken_from(&self, budget: &Needs) -> Needs {
         Needs {

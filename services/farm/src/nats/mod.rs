@@ -483,7 +483,9 @@ impl TransitionLog for NatsEngine {
     fn changes(&self, after: u64, limit: usize) -> Result<Vec<JobChange>, EngineError> {
         let mut known = self.lock();
         self.read_on(&mut known, None)?;
-        Ok(known.changes.iter().filter(|change| change.revision > after).take(limit).cloned().collect())
+        // Revisions grow.
+        let start = known.changes.partition_point(|change| change.revision <= after);
+        Ok(known.changes.range(start..).take(limit).cloned().collect())
     }
 
     fn count_of(&self, kind: ChangeKind) -> Result<u64, EngineError> {

@@ -62,9 +62,8 @@ impl BatchView {
             // The last scene is given idle cores as well.
             let mine = scene.run.as_ref().filter(|run| run.running && scene.state == SceneState::Running);
             let given = mine.and_then(|run| run.cores);
-            used.cores += given.unwrap_or(0).max(scene.needs.cores);
-            used.memory_bytes += scene.needs.memory_bytes;
-            used.accelerators += scene.needs.accelerators;
+            let cores = given.unwrap_or(0).max(scene.needs.cores);
+            used = used.with(&Needs { cores, ..scene.needs });
         }
         let could_start = |s: &&JobStatus| s.state == JobState::Pending && s.due <= now;
         let mut waiting: Vec<&Job> = jobs.iter().filter(could_start).map(|s| &s.job).collect();
@@ -101,12 +100,10 @@ impl BatchView {
             .collect();
         let mut used = Needs::default();
         for (scene, job) in scenes.iter_mut().zip(&jobs).filter(|(_, job)| job.state == JobState::Leased) {
-            used.cores += scene.needs.cores;
-            used.memory_bytes += scene.needs.memory_bytes;
-            used.accelerators += scene.needs.accelerators;
+            used = used.with(&scene.needs);
             scene.worker.clone_from(&job.worker);
         }
-        let own = FarmView::of(farm.engine.as_ref(), &jobs, now)?;
+        let own = FarmView::of(farm, &jobs, now)?;
         why::farm_scenes(&mut scenes, &jobs, &waits, &own.workers);
         let whole = own.whole();
         // Scenes may be held by workers that did not say what they have.

@@ -2,12 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use segwild_farm::{
     ANNOUNCE_EVERY, ChangeKind, EngineError, FarmLogState, JobChange, JobEngine, JobState, JobStatus,
     LEASE_S, Needs, WorkerTally,
 };
+use segwild_flow::lock;
 use serde::{Deserialize, Serialize};
 
 /// A worker that holds nothing and was not seen for so long is not shown, in seconds.
@@ -22,6 +23,9 @@ const PAST: u64 = 48;
 /// Lengths of these points, in seconds: the shortest with which they cover what the log remembers.
 const LENGTHS_S: [f64; 4] = [60.0, 300.0, 900.0, 3600.0];
 
+/// Changes that views are made of at most: the newest ones.
+const MOST_CHANGES: usize = 20_000;
+
 /// A farm that is shown.
 #[derive(Clone)]
 pub struct FarmTarget {
@@ -29,11 +33,41 @@ pub struct FarmTarget {
     pub name: String,
     /// Its jobs.
     pub engine: Arc<dyn JobEngine>,
+    changes: Arc<Mutex<SeenChanges>>,
+}
+
+impl FarmTarget {
+    /// A farm under its address, for people.
+    pub fn new(name: impl Into<String>, engine: Arc<dyn JobEngine>) -> Self {
+        Self { name: name.into(), engine, changes: Arc::default() }
+    }
 }
 
 impl fmt::Debug for FarmTarget {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "FarmTarget({})", self.name)
+    }
+}
+
+/// The changes that the views before were made of, oldest first: a view reads only those that came since.
+#[derive(Default)]
+struct SeenChanges(Vec<JobChange>);
+
+impl SeenChanges {
+    /// Reads on, and returns all.
+    fn read_on(&mut self, engine: &dyn JobEngine) -> Result<&[JobChange], EngineError> {
+        // The last one is read again: a log in which it is another one, or gone, is read as a whole.
+        let after = self.0.last().map_or(0, |last| last.revision.saturating_sub(1));
+        let mut read = engine.watch(after, usize::MAX)?;
+        if self.0.last().is_some_and(|last| read.first() != Some(last)) {
+            self.0.clear();
+            read = engine.watch(0, usize::MAX)?;
+        }
+        self.0.pop();
+        self.0.append(&mut read);
+        let surplus = self.0.len().saturating_sub(MOST_CHANGES);
+        self.0.drain(..surplus);
+        Ok(&self.0)
     }
 }
 
@@ -122,7 +156,8 @@ impl FarmView {
     ///
     /// # Errors
     /// When the farm cannot be read.
-    pub(super) fn of(engine: &dyn JobEngine, jobs: &[JobStatus], now: f64) -> Result<Self, EngineError> {
+    pub(super) fn of(farm: &FarmTarget, jobs: &[JobStatus], now: f64) -> Result<Self, EngineError> {
+        let engine = farm.engine.as_ref();
         let now = engine.log_time().unwrap_or(now);
         let (mut queue, mut oldest_waiting_s) = (BTreeMap::from([("any".to_owned(), 0)]), 0.0_f64);
         for status in jobs.iter().filter(|s| s.state == JobState::Pending && s.due <= now) {
@@ -136,11 +171,13 @@ impl FarmView {
             let Some(worker) = status.worker.as_deref() else { continue };
             let (count, used, renewed) = held.entry(worker).or_default();
             *count += 1;
-            *used = sum(used, &status.job.needs);
+            *used = used.with(&status.job.needs);
             *renewed = renewed.max(status.lease_until.map_or(0.0, |until| until - LEASE_S));
         }
-        let (tallies, changes) = (engine.tallies()?, engine.watch(0, usize::MAX)?);
-        let rates = FarmRates::of(&changes, now);
+        let tallies = engine.tallies()?;
+        let mut seen = lock(&farm.changes);
+        let changes = seen.read_on(engine)?;
+        let rates = FarmRates::of(changes, now);
         let names: BTreeSet<&str> = tallies.keys().map(String::as_str).chain(held.keys().copied()).collect();
         let workers = names.into_iter().map(|name| {
             let (held, used, renewed) = held.get(name).copied().unwrap_or_default();
@@ -166,23 +203,14 @@ impl FarmView {
         let open = jobs.iter().filter(|s| matches!(s.state, JobState::Pending | JobState::Leased)).count();
         let done_per_hour = rates.of_all();
         let left_s = (open > 0 && done_per_hour > 0.0).then(|| open as f64 / done_per_hour * 3600.0);
-        let (log, past) = (engine.log_state(), past(&changes, now));
+        let (log, past) = (engine.log_state(), past(changes, now));
         Ok(Self { queue, oldest_waiting_s, workers, log, done_per_hour, left_s, past })
     }
 
     /// What the workers that are there have together, as far as they say so.
     pub(super) fn whole(&self) -> Needs {
         let there = self.workers.iter().filter(|worker| worker.is_there());
-        there.filter_map(|worker| worker.whole).fold(Needs::default(), |all, own| sum(&all, &own))
-    }
-}
-
-/// Two needs together.
-fn sum(a: &Needs, b: &Needs) -> Needs {
-    Needs {
-        cores: a.cores.saturating_add(b.cores),
-        memory_bytes: a.memory_bytes.saturating_add(b.memory_bytes),
-        accelerators: a.accelerators.saturating_add(b.accelerators),
+        there.filter_map(|worker| worker.whole).fold(Needs::default(), |all, own| all.with(&own))
     }
 }
 
@@ -253,6 +281,33 @@ mod tests {
 
     fn change(time: f64, job: &str, kind: ChangeKind, detail: &str) -> JobChange {
         JobChange { revision: 0, time, job: job.into(), kind, attempt: 1, detail: detail.into() }
+    }
+
+    #[test]
+    fn a_view_reads_what_came_since_the_last_one_and_another_log_as_a_whole() {
+        use segwild_farm::{EmbeddedEngine, Job};
+        let dir = tempfile::tempdir().expect("a temporary folder");
+        let engine = |name: &str| EmbeddedEngine::open(dir.path().join(name)).expect("an engine");
+        let publish = |engine: &EmbeddedEngine, names: &[&str]| {
+            for name in names {
+                engine.publish(&Job::new(*name, "{}", Needs::default())).expect("it is published");
+            }
+        };
+        let (first, mut seen) = (engine("first.sqlite"), SeenChanges::default());
+        let named = |changes: &[JobChange]| changes.iter().map(|c| c.job.clone()).collect::<Vec<_>>();
+        assert!(seen.read_on(&first).expect("it answers").is_empty());
+        for names in [&["a", "b"][..], &[], &["c"]] {
+            publish(&first, names);
+            let all = first.watch(0, usize::MAX).expect("it answers");
+            assert_eq!(seen.read_on(&first).expect("it answers"), all);
+        }
+        assert_eq!(named(&seen.0), ["a", "b", "c"]);
+        let other = engine("other.sqlite");
+        publish(&other, &["d"]);
+        assert_eq!(named(seen.read_on(&other).expect("it answers")), ["d"], "a shorter log");
+        publish(&other, &["e", "f", "g"]);
+        assert_eq!(named(seen.read_on(&other).expect("it answers")), ["d", "e", "f", "g"]);
+        assert_eq!(named(seen.read_on(&first).expect("it answers")), ["a", "b", "c"]);
     }
 
     #[test]

@@ -156,7 +156,7 @@ fn a_scene_that_does_not_run_has_no_rates_and_an_attempt_that_was_cut_short_is_n
 fn a_farm_shows_what_its_machines_have_and_that_none_fits_a_scene() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let engine = Arc::new(EmbeddedEngine::open(dir.path().join("jobs.sqlite")).expect("an engine"));
-    let target = FarmTarget { name: "farm".into(), engine: engine.clone() };
+    let target = FarmTarget::new("farm", engine.clone());
     let seen = || target.view().expect("a view");
     let small = Needs { cores: 1, memory_bytes: 1 << 30, accelerators: 0 };
     for (name, cores) in [("first", 1), ("second", 1), ("huge", 64)] {

@@ -96,7 +96,7 @@ fn the_metrics_text_holds_the_view() {
 fn a_farm_shows_its_queue_and_what_each_worker_did() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let engine = Arc::new(EmbeddedEngine::open(dir.path().join("jobs.sqlite")).expect("an engine"));
-    let target = MonitorTarget::Farm(FarmTarget { name: "farm".into(), engine: engine.clone() });
+    let target = MonitorTarget::Farm(FarmTarget::new("farm", engine.clone()));
     let shown = || render(Some(&target.view().expect("a view")), false);
     let text = shown();
     assert!(
@@ -139,7 +139,7 @@ fn a_farm_shows_its_queue_and_what_each_worker_did() {
     promtool_agrees(&text);
     // A log that has forgotten what its workers did, and not what they hold.
     let again = EmbeddedEngine::open(dir.path().join("jobs.sqlite")).expect("the same jobs");
-    let target = MonitorTarget::Farm(FarmTarget { name: "farm".into(), engine: Arc::new(again) });
+    let target = MonitorTarget::Farm(FarmTarget::new("farm", Arc::new(again)));
     let text = render(Some(&target.view().expect("a view")), false);
     let shown = |line: &str| text.lines().any(|l| l.starts_with(line));
     assert!(shown("segwild_farm_worker_scenes{worker=\"second\"} 1"), "{text}");

@@ -245,7 +245,7 @@ fn the_photos_of_a_run_that_is_about_to_start_are_shown() {
 fn a_farm_is_shown_with_and_without_a_folder() {
     let dir = tempfile::tempdir().unwrap();
     let engine = Arc::new(EmbeddedEngine::open(dir.path().join("jobs.sqlite")).unwrap());
-    let farm = FarmTarget { name: "nats://queue:4222/night".into(), engine: engine.clone() };
+    let farm = FarmTarget::new("nats://queue:4222/night", engine.clone());
     engine.publish(&Job::new("b/dead", "{}", Needs::default())).unwrap();
     let lease = engine.claim(&WorkerOffer::all("w", Needs::default(), 60.0)).unwrap().unwrap();
     engine.fail(&lease, ErrorClass::Fatal, "bad input").unwrap();
@@ -261,7 +261,7 @@ fn a_farm_is_shown_with_and_without_a_folder() {
     assert!(is(&post(&alone, "/api/v1/scenes/b%2Fdead/retry", ""), 409), "it waits");
     // Beside a folder the status is the folder's, and a server without a farm shows none.
     let later = dir.path().join("later");
-    let both = serve(&later, ServeOptions { farm: Some(farm), ..ServeOptions::default() }).unwrap();
+    let both = serve(&later, ServeOptions { farm: Some(farm.into()), ..ServeOptions::default() }).unwrap();
     assert!(is(&get(&both, "/api/v1/status"), 503) && is(&get(&both, "/api/v1/farm"), 200));
     let none = serve(&later, ServeOptions::default()).unwrap();
     assert!(get(&none, "/api/v1/farm").ends_with("\r\n\r\nnull"), "{}", get(&none, "/api/v1/farm"));

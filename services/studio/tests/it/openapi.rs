@@ -139,7 +139,7 @@ fn what_is_answered_is_what_the_document_describes() {
 fn a_farm_is_answered_as_the_document_describes_it() {
     let dir = tempfile::tempdir().unwrap();
     let engine = Arc::new(EmbeddedEngine::open(dir.path().join("jobs.sqlite")).unwrap());
-    let farm = FarmTarget { name: "farm".into(), engine: engine.clone() };
+    let farm = FarmTarget::new("farm", engine.clone());
     for name in ["b/done", "b/held", "b/waits"] {
         engine.publish(&Job::new(name, "{}", Needs { cores: 1, ..Needs::default() })).unwrap();
     }
