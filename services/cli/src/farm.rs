@@ -9,6 +9,7 @@ use segwild_farm::{
 };
 use segwild_monitor::MonitorTarget;
 use segwild_monitor::view::FarmTarget;
+use segwild_studio::FarmSource;
 use std::sync::Arc;
 
 /// Adds the flags of who reads or writes a farm's jobs.
@@ -59,6 +60,22 @@ pub fn connect_to(
     matches: &ArgMatches,
     writer: &str,
 ) -> Result<Arc<NatsEngine>, Failure> {
+    let access = access_of(matches)?;
+    Ok(Arc::new(NatsEngine::connect(address, &access, writer, USUAL_PATIENCE)?))
+}
+
+/// The farm of the flags, connected to by who shows it; `None` where there is none.
+pub fn farm_to_reach(matches: &ArgMatches, writer: &'static str) -> Result<Option<FarmSource>, Failure> {
+    let Some(address) = matches.get_one::<FarmAddress>("farm").cloned() else { return Ok(None) };
+    let access = access_of(matches)?;
+    Ok(Some(FarmSource::new(address.to_string(), move || {
+        let engine = NatsEngine::connect(&address, &access, writer, USUAL_PATIENCE)?;
+        Ok(shown_farm(&Arc::new(engine)))
+    })))
+}
+
+/// Who connects to a farm, as the flags say.
+fn access_of(matches: &ArgMatches) -> Result<FarmAccess, Failure> {
     let key = path_of(matches, "farm-key").map(|file| {
         let secret = std::fs::read_to_string(&file)
             .map_err(|e| Failure::usage(format!("--farm-key: cannot read {}: {e}", file.display())))?;
@@ -67,12 +84,11 @@ pub fn connect_to(
             false => Ok(FarmKey::of(&secret)),
         }
     });
-    let access = FarmAccess {
+    Ok(FarmAccess {
         credentials: path_of(matches, "credentials"),
         certificates: path_of(matches, "certificates"),
         key: key.transpose()?,
-    };
-    Ok(Arc::new(NatsEngine::connect(address, &access, writer, USUAL_PATIENCE)?))
+    })
 }
 
 /// Reaches the farm of the flags and its artefacts; `None` where there is none.

@@ -1,6 +1,7 @@
 //! What requests do and why they are refused, whether they come as JSON or as gRPC.
 
 use crate::document::ObjectId;
+use crate::farm::{FarmRetryError, SeenFarm};
 use crate::messages::{RunEntry, StateMessage, StudioAction, TrainingMessage};
 use crate::runs::{Found, ServedRuns};
 use crate::{Studio, StudioError};
@@ -8,7 +9,6 @@ use futures_util::StreamExt;
 use futures_util::stream::{self, BoxStream};
 use segwild_farm::{EmbeddedEngine, EngineError, JobEngine, JobState};
 use segwild_flow::Stopper;
-use segwild_monitor::view::BatchView;
 use segwild_monitor::{MonitorTarget, MonitorView};
 use segwild_pipeline::{PackedSplats, RunError};
 use std::path::Path;
@@ -116,27 +116,25 @@ pub(crate) async fn save(runs: &Runs, run: &str, object: ObjectId) -> Answered<S
 /// The view of operators, as `segwild status --json` prints it: of the folder, or of the farm where there is no folder.
 pub(crate) async fn status(runs: Runs) -> Answered<MonitorView> {
     let Some(root) = runs.root().map(Path::to_owned) else {
-        let farm = farm(runs).await?.ok_or_else(no_farm)?;
-        return Ok(MonitorView::Batch(Box::new(Arc::unwrap_or_clone(farm))));
+        let farm = farm(&runs).await?.ok_or_else(no_farm)?;
+        return Ok(MonitorView::Batch(Box::new(farm.view.clone())));
     };
     let view = move || MonitorTarget::at(&root).and_then(|target| target.view());
     apart(move || view().map_err(|e| Refusal::Because(RefusalKind::Unavailable, e.to_string()))).await
 }
 
 /// The view of the farm; `None` where the server shows none.
-pub(crate) async fn farm(runs: Runs) -> Answered<Option<Arc<BatchView>>> {
-    apart(move || {
-        let Some(farm) = runs.farm() else { return Ok(None) };
-        farm.view().map(Some).map_err(|e| Refusal::Because(RefusalKind::Unavailable, e.to_string()))
-    })
-    .await
+pub(crate) async fn farm(runs: &Runs) -> Answered<Option<Arc<SeenFarm>>> {
+    let Some(farm) = runs.farm() else { return Ok(None) };
+    let seen = farm.view().await;
+    seen.map(Some).map_err(|why| Refusal::Because(RefusalKind::Unavailable, why.to_string()))
 }
 
 /// Gives a scene of the farm that was given up another chance.
 pub(crate) async fn retry_on_farm(runs: Runs, scene: String) -> Answered<()> {
     apart(move || {
         runs.farm().ok_or_else(no_farm)?.retry(&scene).map_err(|error| match error {
-            EngineError::Unknown(_) => not_given_up(),
+            FarmRetryError::Engine(EngineError::Unknown(_)) => not_given_up(),
             error => Refusal::Because(RefusalKind::Unavailable, error.to_string()),
         })
     })

@@ -54,6 +54,7 @@ mod server;
 mod store;
 mod studio;
 
+pub use farm::FarmSource;
 pub use openapi::openapi;
 pub use regions::{Combination, MOST_POINTS, Region, RegionRule};
 pub use runs::has_runs;

@@ -17,6 +17,8 @@ impl RequestCost {
     pub const LEAST: RequestCost = RequestCost(1.0);
     /// Of a photo that is decoded.
     const PHOTO: RequestCost = RequestCost(2.0);
+    /// Of the view of operators: that of a farm has a line per scene.
+    const VIEW: RequestCost = RequestCost(4.0);
     /// Of a render.
     const RENDER: RequestCost = RequestCost(4.0);
     /// Of a click, which all photos answer unless the next click cancels it; of other actions; of renders into all
@@ -29,8 +31,9 @@ impl RequestCost {
     pub fn of(call: &str) -> RequestCost {
         match call {
             "Photo" | "TrainingPhoto" => RequestCost::PHOTO,
+            "Status" | "Farm" => RequestCost::VIEW,
             "Frame" | "Pick" | "PhotoLabels" => RequestCost::RENDER,
-            "Act" | "ObjectPhotos" | "Changes" => RequestCost::ACTION,
+            "Act" | "ObjectPhotos" | "Changes" | "Retry" | "RetryOnFarm" => RequestCost::ACTION,
             "Save" | "Coco" | "ObjectFile" | "LabelledPly" | "Splats" | "Train" => RequestCost::EXPORT,
             _ => RequestCost::LEAST,
         }

@@ -177,7 +177,10 @@ async fn retry(State(runs): State<Runs>, Path(scene): Path<String>) -> Answered<
 }
 
 async fn farm(State(runs): State<Runs>) -> Answered<Response> {
-    Ok(Json(calls::farm(runs).await?.as_deref()).into_response())
+    Ok(match calls::farm(&runs).await? {
+        Some(farm) => ([(header::CONTENT_TYPE, "application/json")], farm.json.clone()).into_response(),
+        None => Json(serde_json::Value::Null).into_response(),
+    })
 }
 
 async fn retry_on_farm(State(runs): State<Runs>, Path(scene): Path<String>) -> Answered<Response> {

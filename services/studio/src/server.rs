@@ -1,6 +1,6 @@
 //! The server: listens, guards, answers.
 
-use crate::farm::ServedFarm;
+use crate::farm::{FarmSource, ServedFarm};
 use crate::grpc::session;
 use crate::guard::{Guard, guard};
 use crate::rates::RequestRates;
@@ -9,7 +9,6 @@ use crate::runs::ServedRuns;
 use axum::extract::DefaultBodyLimit;
 use axum::middleware::from_fn_with_state;
 use segwild_monitor::connections::ConnectionLimits;
-use segwild_monitor::view::FarmTarget;
 use segwild_monitor::{ServeError, Server, start};
 use segwild_pipeline::Code;
 use segwild_proto::Token;
@@ -46,7 +45,7 @@ pub struct ServeOptions {
     /// The photos of a run that is about to start: shown until it has read them.
     pub photos: Option<PathBuf>,
     /// A farm that operators see as well.
-    pub farm: Option<FarmTarget>,
+    pub farm: Option<FarmSource>,
 }
 
 impl Default for ServeOptions {
@@ -98,8 +97,11 @@ pub fn serve(folder: &Path, options: ServeOptions) -> Result<StudioServer, Serve
 ///
 /// # Errors
 /// As [`serve`].
-pub fn serve_farm(farm: FarmTarget, options: ServeOptions) -> Result<StudioServer, ServeError> {
-    started(None, ServeOptions { farm: Some(farm), ..options })
+pub fn serve_farm(
+    farm: impl Into<FarmSource>,
+    options: ServeOptions,
+) -> Result<StudioServer, ServeError> {
+    started(None, ServeOptions { farm: Some(farm.into()), ..options })
 }
 
 fn started(folder: Option<&Path>, options: ServeOptions) -> Result<StudioServer, ServeError> {

@@ -3,7 +3,7 @@
 use crate::args::{self, examples, flag, number, path_of, with_fields};
 use crate::exit;
 use crate::failure::Failure;
-use crate::farm::{connect, engine_args, shown_farm};
+use crate::farm::{connect, engine_args, farm_to_reach, shown_farm};
 use crate::output::print_line;
 use crate::progress::on_ctrl_c;
 use clap::{Arg, ArgMatches, Command, value_parser};
@@ -178,7 +178,11 @@ fn page(
     let code = Code::given(&args::given(matches));
     let mib = *matches.get_one::<u32>("session-memory").expect("it has a default") as usize;
     let (memory_budget, program) = (mib << 20, own_program());
-    let farm = connect(matches, "studio")?.map(|engine| shown_farm(&engine));
+    let farm = match folder {
+        // A queue that does not answer is no reason not to show the run.
+        Some(_) => farm_to_reach(matches, "studio")?,
+        None => connect(matches, "studio")?.map(|engine| shown_farm(&engine).into()),
+    };
     let options = ServeOptions { address, token, memory_budget, program, code, photos: None, farm };
     Ok(if listen.is_some() { served(folder, options)? } else { on_loopback(folder, options)? })
 }

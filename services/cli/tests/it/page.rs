@@ -96,7 +96,9 @@ fn served(args: &[&str]) -> (Child, String) {
 fn the_address_is_printed_with_its_token_and_an_end_by_ctrl_c_is_no_failure() {
     let dir = folder();
     let run = show(&copied_run(&dir));
-    let (mut child, line) = served(&[&run, "--listen", "127.0.0.1:0"]);
+    // A queue that does not answer is no reason not to show the run.
+    let silent = ["--farm", "nats://127.0.0.1:9/night"];
+    let (mut child, line) = served(&[&silent[..], &[&*run, "--listen", "127.0.0.1:0"]].concat());
     assert!(line.contains("http://127.0.0.1:") && line.contains("/?token="), "{line}");
     signal(&child, "-INT");
     assert_eq!(child.wait().expect("it ends").code(), Some(0));

@@ -10,7 +10,6 @@ use futures_util::stream::{self, BoxStream};
 use requests::NoSuchRequest;
 use segwild_proto::v1;
 use segwild_proto::v1::session_server::{SERVICE_NAME, Session, SessionServer};
-use std::sync::Arc;
 use tonic::{Request, Response, Status};
 
 /// Bytes of a part of a file at most.
@@ -115,8 +114,8 @@ impl Session for SessionService {
     }
 
     async fn farm(&self, _: Request<v1::FarmRequest>) -> Reply<v1::FarmResponse> {
-        let farm = calls::farm(self.runs.clone()).await?.map(Arc::unwrap_or_clone);
-        reply(v1::FarmResponse { farm: farm.map(status::batch) })
+        let farm = calls::farm(&self.runs).await?;
+        reply(v1::FarmResponse { farm: farm.map(|farm| status::batch(farm.view.clone())) })
     }
 
     async fn retry_on_farm(&self, request: Request<v1::RetryRequest>) -> Reply<v1::RetryResponse> {

@@ -25,7 +25,7 @@ function machine(w) {
   const { used, whole } = w, cores = share(used.cores, whole?.cores);
   return [
     w.name, whole?.cores ? bar(text("farm_cores", w.name), used.cores / whole.cores, cores) : cores, share(mib(used.memory_bytes), whole && mib(whole.memory_bytes)),
-    [share(used.accelerators, whole?.accelerators), w.accelerator].filter(Boolean).join(" "), String(w.held), [duration(w.seen_s), w.paused].filter(Boolean).join(": "),
+    [share(used.accelerators, whole?.accelerators), w.accelerator].filter(Boolean).join(" "), String(w.held), duration(w.seen_s), w.paused ?? "",
     w.done_per_hour.toFixed(1), String(w.done), String(w.failed), String(w.silent),
   ];
 }
@@ -44,7 +44,7 @@ export function farm(batch, retry) {
   if (log?.void_records) parts.push(element("p", {}, text("farm_void", log.void_records)));
   if (past.length) parts.push(throughput(past));
   parts.push(workers.length
-    ? table(["farm_machine", "farm_used", "status_memory", "farm_accelerators", "farm_scenes", "farm_seen", "farm_hourly", "status_done", "status_failures", "farm_silent"], workers.map(machine))
+    ? table(["farm_machine", "farm_used", "status_memory", "farm_accelerators", "farm_scenes", "farm_seen", "farm_paused", "farm_hourly", "status_done", "status_failures", "farm_silent"], workers.map(machine))
     : element("p", {}, text("farm_no_machine")));
   if (scenes.length) parts.push(table(["status_scene", "status_state", "farm_machine", "status_time", "status_failures", "status_waits"], scenes));
   if (more > 0) parts.push(element("p", {}, text("farm_more", more)));

@@ -28,27 +28,36 @@ export class StatusPane {
   /** @param {App} app */
   constructor(app) {
     this.app = app;
+    this.round = 0;
+    /** Whether the server shows a farm and no folder: the status is the farm's then. */
+    this.alone = false;
+    this.seen = /** @type {Record<string, any>} */ ({});
   }
 
-  /** Shows the view, and goes on as long as the pane is open. */
+  /** Shows the view, each part when it comes, and goes on as long as the pane is open. */
   async show() {
     clearTimeout(this.timer);
-    const read = async (/** @type {string} */ name) => getJson(`/api/v1/${name}`).catch(error => {
-      if (error instanceof Refused) return { kind: "", error: error.message };
-      throw error;
-    });
-    const seen = await Promise.all([read("status"), read("farm")]).catch(error => this.app.failed(error));
-    if (this.app.view !== "status") return;
-    if (seen) replace(this.parts(seen[0], seen[1]));
-    clearTimeout(this.timer);
+    const round = ++this.round;
+    const read = async (/** @type {string} */ name) => {
+      const seen = await getJson(`/api/v1/${name}`).catch(error => {
+        if (error instanceof Refused) return { kind: "", error: error.message };
+        throw error;
+      });
+      if (round !== this.round || this.app.view !== "status") return;
+      this.seen[name] = seen;
+      if (name === "status") this.alone = !!seen.farm;
+      replace(this.parts(this.seen.status, this.seen.farm));
+    };
+    await Promise.all((this.alone ? ["farm"] : ["status", "farm"]).map(read)).catch(error => this.app.failed(error));
+    if (round !== this.round || this.app.view !== "status") return;
     this.timer = setTimeout(() => this.show(), AGAIN);
   }
 
-  /** What is shown of a run or a batch, and of a farm. @param {any} view @param {any} of @returns {Node[]} */
+  /** What is shown of a run or a batch, and of a farm; what was not read yet is undefined. @param {any} view @param {any} of @returns {Node[]} */
   parts(view, of) {
     const kinds = { run: () => this.run(view), batch: () => this.batch(view), "": () => [element("p", {}, text("no_status"))] };
     // Without a folder the status is the farm's.
-    const own = of && (view.farm || !view.kind) ? [] : kinds[/** @type {keyof typeof kinds} */ (view.kind)]();
+    const own = !view || (of !== null && (view.farm || !view.kind)) ? [] : kinds[/** @type {keyof typeof kinds} */ (view.kind)]();
     if (!of) return own;
     return [...own, ...of.error ? [element("p", {}, text("farm_silence", of.error))] : farm(of, scene => this.retry(scene, "farm/"))];
   }

@@ -49,7 +49,7 @@ export const strings = {
   retry: "Retry", retry_of: "Retry {0}", retried: "“{0}” is tried again: by the batch that runs, or by the next one.", no_status: "This folder has no run yet.",
   farm: "Farm {0}", farm_rate: "{0} scenes an hour", farm_oldest: "one has waited for {0}", farm_retries: "{0} attempts were retried",
   farm_silences: "{0} leases ran out", farm_past: "{0} scenes done in {1}; at most {2} in {3}", farm_of: "{0} of {1}", farm_cores: "Cores of {0}",
-  farm_machine: "Machine", farm_used: "Cores", farm_accelerators: "Accelerators", farm_scenes: "Scenes", farm_seen: "Last seen", farm_hourly: "Scenes an hour",
+  farm_machine: "Machine", farm_used: "Cores", farm_accelerators: "Accelerators", farm_scenes: "Scenes", farm_seen: "Last seen", farm_paused: "Takes no scenes", farm_hourly: "Scenes an hour",
   farm_silent: "Fell silent", farm_no_machine: "No worker was seen in the last hour.", farm_more: "{0} more scenes are not listed.",
   farm_void: "{0} records of its log are void here: the farm may have another key (--farm-key).", farm_silence: "The farm cannot be read: {0}",
   farm_retried: "“{0}” is tried again by the farm.",
