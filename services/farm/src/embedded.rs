@@ -281,11 +281,25 @@ fn write(
                 ],
             )?;
         }
-        match transition.job() {
-            Some(job) => drop(touched.insert(job.to_owned())),
+        match transition {
             // The file keeps no workers.
-            None if matches!(transition, Transition::Announced { .. }) => {}
-            None => touched.extend(table.jobs().map(|status| status.job.id.clone())),
+            Transition::Announced { .. } | Transition::Paused { .. } => {}
+            Transition::ClockSet { .. } | Transition::TimesMoved { .. } => {
+                touched.extend(table.jobs().map(|status| status.job.id.clone()));
+            }
+            Transition::Published(_)
+            | Transition::Claimed { .. }
+            | Transition::Renewed { .. }
+            | Transition::Expired { .. }
+            | Transition::Completed { .. }
+            | Transition::Failed { .. }
+            | Transition::Released { .. }
+            | Transition::Revived { .. }
+            | Transition::Withdrawn { .. }
+            | Transition::Waited { .. }
+            | Transition::Stored { .. }
+            | Transition::Kept { .. }
+            | Transition::RestEnded { .. } => touched.extend(transition.job().map(str::to_owned)),
         }
     }
     for id in touched {

@@ -70,6 +70,7 @@ metrics! {
     FarmOldestWaiting = "segwild_farm_oldest_waiting_seconds", Gauge, Max, "For how long the scene of a farm that has waited longest could have started.";
     FarmWorkerScenes = "segwild_farm_worker_scenes", Gauge, Sum, "Scenes that a worker of a farm holds.";
     FarmWorkerAttempts = "segwild_farm_worker_attempts_total", Counter, Sum, "Scenes that a worker of a farm had, by how that ended: done, failed, returned, silent.";
+    FarmWorkerPaused = "segwild_farm_worker_paused", Gauge, Max, "Whether a worker of a farm takes no scenes for now, as on a full disk.";
     FarmHeartbeatAge = "segwild_farm_heartbeat_age_seconds", Gauge, Max, "Time since the last sign of life of a worker that holds scenes.";
     FarmLogRecords = "segwild_farm_log_records", Gauge, Max, "Records in a farm's log, since it was compacted.";
     FarmLogReadRecords = "segwild_farm_log_read_records_total", Counter, Sum, "Records of a farm's log that this process has folded into its table.";
@@ -263,6 +264,7 @@ fn of_farm(values: &mut MetricValues, farm: &FarmView) {
         ] {
             values.put(Metric::FarmWorkerAttempts, &[own, ("outcome", outcome)], count as f64);
         }
+        values.put(Metric::FarmWorkerPaused, &[own], f64::from(u8::from(worker.paused.is_some())));
         if worker.held > 0 {
             values.put(Metric::FarmHeartbeatAge, &[own], worker.seen_s);
         }

@@ -127,7 +127,7 @@ fn stage_words(stage: &StageView) -> String {
     words.join(", ")
 }
 
-/// What a worker of a farm has, how much of that its scenes need, and when it was last seen.
+/// What a worker of a farm has, how much of that its scenes need, when it was last seen, and why it takes no scenes.
 fn worker_words(worker: &FarmWorkerView) -> String {
     let mut words = vec![count(worker.held as u32, "scene")];
     if let Some(whole) = &worker.whole {
@@ -144,6 +144,7 @@ fn worker_words(worker: &FarmWorkerView) -> String {
     words.extend(worker.accelerator.clone());
     words.push(format!("{} done, {} failed", worker.done, worker.failed));
     words.push(format!("seen {} ago", duration(worker.seen_s)));
+    words.extend(worker.paused.as_ref().map(|reason| format!("takes no scene: {reason}")));
     words.join(", ")
 }
 
@@ -165,11 +166,6 @@ fn tell_batch(batch: &BatchView) -> Result<(), Failure> {
         print_line(&format!("{}: {}{until} {time}{why}", scene.name, scene.state.word()))?;
         if let Some(run) = scene.run.as_ref().filter(|run| run.running) {
             tell_run(run, "    ")?;
-        }
-    }
-    for worker in batch.farm.iter().flat_map(|farm| &farm.workers) {
-        if let Some(reason) = &worker.paused {
-            print_line(&format!("worker {} takes no scene: {reason}", worker.name))?;
         }
     }
     Ok(())

@@ -4,8 +4,10 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use segwild_flow::WorkerState;
 
-use crate::view::{ActorView, BatchView, Disk, MonitorView, RunView, SceneState, SceneView, StageView};
-use crate::words::{bytes, cut, duration};
+use crate::view::{
+    ActorView, BatchView, Disk, FarmWorkerView, MonitorView, RunView, SceneState, SceneView, StageView,
+};
+use crate::words::{bytes, count, cut, duration};
 
 /// What the page shows of a batch: the scene whose stages are listed.
 #[derive(Clone, Copy, Debug, Default)]
@@ -286,6 +288,35 @@ fn scene_row(scene: &SceneView, chosen: bool, width: usize) -> Line<'static> {
     row(format!("{mark}{:11} ", cut(&scene.name, 11)), scene.state.word(), 7, after)
 }
 
+/// A machine of a farm: what it holds, or why it takes no scenes.
+fn machine_row(worker: &FarmWorkerView, width: usize) -> Line<'static> {
+    let whole = worker.whole.map_or(String::new(), |whole| format!(" of {}", whole.cores));
+    let mut text = format!(
+        " {:24} {}, {}{whole} cores, seen {} ago",
+        cut(&worker.name, 24),
+        count(worker.held as u32, "scene"),
+        worker.used.cores,
+        short(worker.seen_s)
+    );
+    let Some(reason) = &worker.paused else { return plain(cut(&text, width)) };
+    text += &format!(", takes no scenes: {reason}");
+    coloured(cut(&text, width), Color::Yellow)
+}
+
+/// The machines of a farm: how many, and as many as fit into the lines, first those that take no scenes.
+fn machines(workers: &[FarmWorkerView], width: usize, lines: usize) -> Vec<Line<'static>> {
+    let mut shown: Vec<&FarmWorkerView> = workers.iter().collect();
+    shown.sort_by_key(|worker| worker.paused.is_none());
+    let mut heading = format!("machines {}", workers.len());
+    match workers.iter().filter(|worker| worker.paused.is_some()).count() {
+        0 => {}
+        1 => heading += ", 1 takes no scenes",
+        n => heading += &format!(", {n} take no scenes"),
+    }
+    let rows = shown.into_iter().take(lines).map(|worker| machine_row(worker, width));
+    std::iter::once(columns(cut(&heading, width))).chain(rows).collect()
+}
+
 fn batch_page(
     batch: &BatchView,
     position: ScreenPosition,
@@ -317,6 +348,9 @@ fn batch_page(
         totals += &format!("  leases lost {}", batch.leases_expired);
     }
     page.push(plain(cut(&(totals + &disk(batch.disk)), width)));
+    if let Some(farm) = &batch.farm {
+        page.extend(machines(&farm.workers, width, (height / 6).max(2)));
+    }
     page.push(columns(format!(
         " {:11} {:7}{} {:>4} {:>5} {:>6} {:>5} {:>8} {:>6} {:>4} {}",
         "scene",

@@ -180,4 +180,17 @@ fn a_farm_shows_what_its_machines_have_and_that_none_fits_a_scene() {
     assert!(farm.workers[0].done_per_hour > 0.0 && farm.workers[0].done_per_hour == farm.done_per_hour);
     assert!(farm.left_s.is_some_and(|left| left > 0.0), "{:?}", farm.left_s);
     assert_eq!(farm.past.iter().map(|sample| sample.done).sum::<u64>(), 1);
+    // A machine that takes no scenes has what one needs, and is none that the scene waits for.
+    engine.publish(&Job::new("third", "{}", small)).expect("it is published");
+    let third = || seen().scenes[3].why.clone().unwrap_or_default();
+    assert!(third().ends_with(" of memory"), "{}", third());
+    engine.note_pause("machine", Some("its disk is full")).expect("it works");
+    assert!(third().ends_with("; the one that has it takes no scene: its disk is full"), "{}", third());
+    assert!(why(&seen()).ends_with("; of 1 worker none has that"), "{}", why(&seen()));
+    let page = top::frame(&MonitorView::Batch(Box::new(seen())), 100, 24);
+    assert!(page.contains("machines 1, 1 takes no scenes") && page.contains("its disk is full"), "{page}");
+    engine.announce(&WorkerOffer::all("another", whole, 60.0)).expect("it works");
+    assert!(third().ends_with(" of memory"), "another one takes it: {}", third());
+    engine.note_pause("another", Some("its disk is read-only")).expect("it works");
+    assert!(third().contains("the 2 that have it take no scene, as another: its disk is read-only"), "{}", third());
 }

@@ -116,12 +116,15 @@ fn a_farm_shows_its_queue_and_what_each_worker_did() {
     engine.fail(&claim("first"), ErrorClass::Fatal, "bad input").expect("it is held");
     engine.fail(&claim("second"), ErrorClass::Stopped, "stopped").expect("it is held");
     claim("second");
+    engine.note_pause("first", Some("its disk is full")).expect("it works");
     let text = shown();
     for line in [
         "segwild_farm_queue_depth{accelerator=\"any\"} 1",
         "segwild_farm_queue_depth{accelerator=\"h100\"} 1",
         "segwild_farm_worker_scenes{worker=\"first\"} 0",
         "segwild_farm_worker_scenes{worker=\"second\"} 1",
+        "segwild_farm_worker_paused{worker=\"first\"} 1",
+        "segwild_farm_worker_paused{worker=\"second\"} 0",
         "segwild_farm_worker_attempts_total{worker=\"first\",outcome=\"done\"} 1",
         "segwild_farm_worker_attempts_total{worker=\"first\",outcome=\"failed\"} 1",
         "segwild_farm_worker_attempts_total{worker=\"second\",outcome=\"returned\"} 1",

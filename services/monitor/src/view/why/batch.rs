@@ -67,15 +67,22 @@ fn missing_worker(needs: &Needs, accelerator: Option<&str>, workers: &[FarmWorke
         text += &format!(" ({name})");
     }
     let there: Vec<&FarmWorkerView> = workers.iter().filter(|worker| worker.is_there()).collect();
-    // A worker of an earlier version does not say what it has.
+    // One that has not announced itself yet may have it.
     let could = |worker: &&FarmWorkerView| {
         let has_it = accelerator.is_none() || worker.accelerator.as_deref() == accelerator;
         worker.whole.is_none_or(|whole| needs.fit(&whole) && has_it)
     };
-    match there.len() {
-        0 => text + "; no worker is there",
-        _ if there.iter().any(could) => text,
-        n => format!("{text}; of {} none has that", count(n as u32, "worker")),
+    let could: Vec<&FarmWorkerView> = there.iter().copied().filter(could).collect();
+    let paused: Vec<(&str, &str)> =
+        could.iter().filter_map(|worker| Some((worker.name.as_str(), worker.paused.as_deref()?))).collect();
+    match (there.len(), could.len(), paused.first()) {
+        (0, ..) => text + "; no worker is there",
+        (n, 0, _) => format!("{text}; of {} none has that", count(n as u32, "worker")),
+        (_, 1, Some((_, reason))) => format!("{text}; the one that has it takes no scene: {reason}"),
+        (_, n, Some((name, reason))) if paused.len() == n => {
+            format!("{text}; the {n} that have it take no scene, as {name}: {reason}")
+        }
+        _ => text,
     }
 }
 
