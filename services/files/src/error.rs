@@ -53,7 +53,7 @@ impl fmt::Display for Words<'_> {
 }
 
 impl Obstacle {
-    /// What every error says of a full disk: who sees only the words of another process knows it by this sentence.
+    /// The sentence of every error of a full disk: who sees only the words of another process knows it by this.
     pub const FULL: &'static str = "the disk is full; free some space and run again";
     /// The same of a file system that cannot be written.
     pub const READ_ONLY: &'static str = "the folder is on a read-only file system; choose another one";

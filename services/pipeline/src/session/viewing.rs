@@ -82,11 +82,18 @@ impl PlainScene {
 }
 
 impl ShownScene {
-    /// Bytes that it takes in memory, together with those that differ in their highlights alone.
-    pub fn bytes(&self) -> usize {
-        let PlainScene { model, .. } = &*self.base;
-        let splats = &model.splats;
-        4 * (splats.len() * 11 + splats.sh.len() + model.splat_embeddings.len() + self.highlight.len())
+    /// Bytes that scenes take in memory together: what those share that differ in their highlights alone counts once.
+    pub fn bytes_of<'a>(scenes: impl IntoIterator<Item = &'a ShownScene>) -> usize {
+        let (mut bases, mut numbers) = (Vec::new(), 0);
+        for scene in scenes {
+            numbers += scene.highlight.len();
+            if !bases.contains(&Arc::as_ptr(&scene.base)) {
+                bases.push(Arc::as_ptr(&scene.base));
+                let PlainScene { model, .. } = &*scene.base;
+                numbers += model.splats.len() * 11 + model.splats.sh.len() + model.splat_embeddings.len();
+            }
+        }
+        4 * numbers
     }
 
     /// The same with other highlights ([`ShownParts::highlights`]).

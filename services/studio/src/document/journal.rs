@@ -100,8 +100,11 @@ impl Journal {
         let length = self.file.metadata().map_err(failed)?.len();
         if length.saturating_add(line.len() as u64) > MOST_BYTES {
             // A larger one would not be read again.
-            let why =
-                format!("it is full: a session has {} MiB at most, export its objects", MOST_BYTES >> 20);
+            let why = format!(
+                "it is full: a session has {} MiB at most. To go on, export its objects, end `segwild serve`, rename \
+                 the file, and serve the run again: it starts without objects",
+                MOST_BYTES >> 20
+            );
             return Err(failed(std::io::Error::new(std::io::ErrorKind::FileTooLarge, why)));
         }
         self.file.write_all(&line).and_then(|()| self.file.sync_data()).map_err(failed)

@@ -25,6 +25,9 @@ pub enum DocumentError {
     /// There is no such object.
     #[error("there is no object {0}")]
     NoObject(ObjectId),
+    /// Nothing was selected that could be shown.
+    #[error("there is no answer yet")]
+    NoAnswer,
     /// The object is locked.
     #[error("`{0}` is locked: unlock it first")]
     Locked(String),

@@ -34,6 +34,12 @@ impl KeptAnswers {
         self.0.iter().map(|answer| answer.bytes()).sum()
     }
 
+    /// The same with a further answer, unless it is one of them.
+    pub fn bytes_with(&self, present: Option<&Arc<Answer>>) -> usize {
+        let further = present.filter(|present| !self.0.iter().any(|answer| Arc::ptr_eq(answer, present)));
+        self.bytes() + further.map_or(0, |answer| answer.bytes())
+    }
+
     /// Forgets all: what they were made from has changed.
     pub fn clear(&mut self) {
         self.0.clear();

@@ -24,7 +24,7 @@ use crate::messages::{
 use crate::store::SelectionStore;
 use segwild_flow::{Stopper, lock};
 use segwild_pipeline::{
-    Code, ObjectList, RunFolder, Session, SessionOptions, TrainingSnapshot, list_objects,
+    Code, ObjectList, RunFolder, Session, SessionOptions, ShownScene, TrainingSnapshot, list_objects,
 };
 use segwild_scene::statistics::upper_median;
 use state::{GrowingAnswer, NO_PHOTO, StudioState};
@@ -126,9 +126,11 @@ impl Studio {
 
     /// About how many bytes it takes in memory.
     pub fn bytes(&self) -> usize {
-        let shown = lock(&self.shown);
-        let shown: usize = shown.iter().map(|cached| cached.scene.bytes()).sum();
-        self.session.bytes() + self.fronts.bytes() + shown + lock(&self.kept).bytes()
+        let shown = ShownScene::bytes_of(lock(&self.shown).iter().map(|cached| &*cached.scene));
+        // Who changes the state may take long: nobody waits for the size of the present answer.
+        let present = self.state.try_lock().ok().and_then(|state| state.answer.done.clone());
+        let answers = lock(&self.kept).bytes_with(present.as_ref());
+        self.session.bytes() + self.fronts.bytes() + shown + answers
     }
 
     /// The step of the training that the scene is of; `None` where the training is over.

@@ -66,7 +66,7 @@ impl Studio {
     /// When there is no such object or no answer yet, or the scene cannot be rendered.
     pub fn photos_of(&self, id: ObjectId) -> Result<Vec<usize>, StudioError> {
         let selected = match id {
-            ANSWER_OBJECT => self.state().answer.selected.clone().ok_or(DocumentError::NoObject(id))?,
+            ANSWER_OBJECT => self.state().answer.selected.clone().ok_or(DocumentError::NoAnswer)?,
             id => self.selection_of(id)?,
         };
         let count = |photo: usize| {

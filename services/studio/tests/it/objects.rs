@@ -289,7 +289,8 @@ fn hidden_and_isolated_objects_show_in_frames_and_labels() {
     assert_eq!(counts.len(), studio.describe().photos.len());
     assert!(counts.iter().sum::<usize>() > 0);
     // The answer's photos are those of the object that it becomes.
-    assert!(studio.photos_of(ANSWER_OBJECT).is_err());
+    let error = studio.photos_of(ANSWER_OBJECT).unwrap_err().to_string();
+    assert_eq!(error, "there is no answer yet");
     studio.act(click(&studio, 0)).unwrap();
     answered(&studio);
     assert_eq!(studio.photos_of(ANSWER_OBJECT).unwrap(), counts);
