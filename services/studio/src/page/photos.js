@@ -335,6 +335,10 @@ export class Strip {
     /** Photos that show the answer or the selected object, by pixels. @type {number[] | null} */
     this.showing = null;
     this.shownFor = "";
+    /** Settles once the photos that are wanted are counted. @type {Promise<void> | undefined} */
+    this.counts = undefined;
+    /** Why they could not be counted. @type {unknown} */
+    this.failure = null;
     const search = /** @type {HTMLInputElement} */ (of("search"));
     search.placeholder = text("search");
     search.addEventListener("input", () => this.draw());
@@ -342,8 +346,14 @@ export class Strip {
     for (const way of ["sort_name", "sort_angle"]) sort.append(new Option(text(way), way));
     sort.addEventListener("change", () => this.draw());
     of("showing").addEventListener("change", async () => {
-      await this.update();
-      if (/** @type {HTMLInputElement} */ (of("showing")).checked && !this.showing) app.say(text("showing_none"));
+      // Others may be wanted meanwhile.
+      for (let counts = this.update(); ; counts = this.update()) {
+        await counts;
+        if (counts === this.update()) break;
+      }
+      const wanted = /** @type {HTMLInputElement} */ (of("showing")).checked && !this.showing;
+      if (wanted && this.failure) app.failed(this.failure);
+      else if (wanted) app.say(text("showing_none"));
       this.draw();
     });
   }
@@ -398,17 +408,31 @@ export class Strip {
     return all[(at + steps + all.length) % all.length] ?? this.app.photo;
   }
 
-  /** Finds out which photos show the answer, if only those are wanted, or else the selected object. */
-  async update() {
+  /** Finds out which photos show the answer, if only those are wanted, or else the selected object. Who calls it again before that is
+   * known gets the same promise. */
+  update() {
     const { app } = this, item = app.selected(), answer = app.state?.answer;
     const only = /** @type {HTMLInputElement} */ (of("showing")).checked && answer?.state === "done" ? answer : null;
     const wanted = only ? `answer ${only.number}` : item ? `${item.id}/${item.selection}` : "";
-    if (wanted === this.shownFor) return;
-    this.shownFor = wanted;
-    const found = only ? app.run.photosOf(ANSWER_ID) : item ? app.photosOf(item) : null, showing = await found?.catch(() => null);
+    if (wanted !== this.shownFor) {
+      this.shownFor = wanted;
+      this.counts = this.count(wanted, only ? app.run.photosOf(ANSWER_ID) : item ? app.photosOf(item) : null);
+    }
+    return this.counts;
+  }
+
+  /** @param {string} wanted @param {Promise<number[]> | null} found */
+  async count(wanted, found) {
+    /** @type {unknown} */
+    let failure = null;
+    const showing = await found?.catch(error => {
+      failure = error;
+      return null;
+    });
     // Another one may be wanted by now.
     if (wanted !== this.shownFor) return;
     this.showing = showing ?? null;
+    this.failure = failure;
     this.draw();
   }
 }
