@@ -4,3 +4,4 @@ mod artefacts;
 mod batch;
 mod engine;
 mod nats;
+mod worker;
