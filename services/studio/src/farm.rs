@@ -1,5 +1,5 @@
-//! The farm that a server shows: connected to and read on a thread of its own, once for all its viewers. A queue that does not answer
-//! is waited for long; no request does that.
+//! The farm that a server shows: connected to and read on a thread of its own, once for all its viewers. A queue that does
+//! not answer is waited for long; no request does that.
 
 use axum::body::Bytes;
 use segwild_farm::EngineError;
