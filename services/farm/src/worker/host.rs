@@ -24,13 +24,15 @@ pub(super) struct FarmHost {
     artefacts: ArtefactSession,
     /// How many scenes use an input now.
     used: Mutex<BTreeMap<PathBuf, usize>>,
+    /// What this process has stored or fetched, by scene: a full disk may not take the file.
+    noted: Mutex<BTreeMap<String, String>>,
 }
 
 impl FarmHost {
     pub fn new(folder: &Path, artefacts: ArtefactSession) -> Self {
         // Made as long as there is space. Without it folders are deleted where they are.
         let _ = std::fs::create_dir_all(removed_in(folder));
-        Self { folder: folder.to_owned(), artefacts, used: Mutex::default() }
+        Self { folder: folder.to_owned(), artefacts, used: Mutex::default(), noted: Mutex::default() }
     }
 
     /// Puts a folder aside, to be deleted; returns whether there was one.
@@ -50,7 +52,16 @@ impl FarmHost {
         self.folder.join("stored").join(&scene.name)
     }
 
+    /// Whether a run folder continues this artefact.
+    fn continues(&self, scene: &SceneJob, artefact: &str) -> bool {
+        match lock(&self.noted).get(&scene.name) {
+            Some(noted) => noted == artefact,
+            None => files::read_plain(&self.stored_file(scene)).is_ok_and(|have| have == artefact.as_bytes()),
+        }
+    }
+
     fn note_stored(&self, scene: &SceneJob, artefact: &str) -> Result<(), HostFailure> {
+        lock(&self.noted).insert(scene.name.clone(), artefact.to_owned());
         let file = self.stored_file(scene);
         file.parent().map_or(Ok(()), std::fs::create_dir_all).map_err(|e| at("write", &file, e))?;
         files::write_atomic(&file, artefact.as_bytes()).map_err(HostFailure::passing)
@@ -120,9 +131,7 @@ impl SceneHost for FarmHost {
         let Some(checkpoint) = &lease.checkpoint else { return Ok(()) };
         let artefact: ArtefactDigest =
             checkpoint.parse().map_err(|e| HostFailure::passing(format!("its checkpoint: {e}")))?;
-        let continues =
-            files::read_plain(&self.stored_file(scene)).is_ok_and(|have| have == checkpoint.as_bytes());
-        if continues && scene.out.is_dir() {
+        if self.continues(scene, checkpoint) && scene.out.is_dir() {
             // What this worker did after it stored that.
             return Ok(());
         }
@@ -137,7 +146,7 @@ impl SceneHost for FarmHost {
         }
         let artefact = self.artefacts.store_run(&scene.out).map_err(failure)?.to_string();
         if let Err(failure) = self.note_stored(scene, &artefact) {
-            // It is stored. Where this machine takes the scene again, it is fetched.
+            // It is stored. A worker that is started again fetches it.
             tracing::warn!(%failure, "which artefact a run folder was stored as cannot be noted");
         }
         Ok(Some(artefact))
@@ -153,6 +162,7 @@ impl SceneHost for FarmHost {
         if may_return {
             return false;
         }
+        lock(&self.noted).remove(&scene.name);
         // It may not be there.
         let _ = std::fs::remove_file(self.stored_file(scene));
         let run = self.put_aside(&scene.out);
@@ -172,6 +182,7 @@ impl SceneHost for FarmHost {
         for folder in unwanted {
             found |= self.put_aside(&folder);
             if let Ok(name) = folder.strip_prefix(&runs) {
+                lock(&self.noted).remove(&*name.to_string_lossy());
                 // It may not be there.
                 let _ = std::fs::remove_file(self.folder.join("stored").join(name));
             }
