@@ -255,7 +255,11 @@ mod tests {
         assert!(Arc::ptr_eq(&first, &view()), "it is read once");
         assert!(matches!(farm.retry("b/none"), Err(FarmRetryError::Engine(EngineError::Unknown(_)))));
         farm.retry("b/dead").expect("it was given up");
-        assert_eq!(view().view.scenes[0].state, SceneState::Waiting, "a view from before the retry is not fresh");
+        assert_eq!(
+            view().view.scenes[0].state,
+            SceneState::Waiting,
+            "a view from before the retry is not fresh"
+        );
         let turn = lock(&farm.0.retrying);
         assert!(matches!(farm.retry("b/dead"), Err(FarmRetryError::Busy)));
         drop(turn);

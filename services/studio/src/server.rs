@@ -97,10 +97,7 @@ pub fn serve(folder: &Path, options: ServeOptions) -> Result<StudioServer, Serve
 ///
 /// # Errors
 /// As [`serve`].
-pub fn serve_farm(
-    farm: impl Into<FarmSource>,
-    options: ServeOptions,
-) -> Result<StudioServer, ServeError> {
+pub fn serve_farm(farm: impl Into<FarmSource>, options: ServeOptions) -> Result<StudioServer, ServeError> {
     started(None, ServeOptions { farm: Some(farm.into()), ..options })
 }
 

@@ -138,7 +138,8 @@ impl DiskGate {
 /// Whether words have the path of something in a folder.
 fn names_file_in(words: &str, folder: &Path) -> bool {
     let start = format!("{}/", folder.display().to_string().trim_end_matches('/'));
-    let starts_path = |before: &str| before.chars().next_back().is_none_or(|c| !c.is_alphanumeric() && c != '/');
+    let starts_path =
+        |before: &str| before.chars().next_back().is_none_or(|c| !c.is_alphanumeric() && c != '/');
     words.match_indices(&start).any(|(at, _)| starts_path(&words[..at]))
 }
 

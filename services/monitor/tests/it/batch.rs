@@ -192,5 +192,9 @@ fn a_farm_shows_what_its_machines_have_and_that_none_fits_a_scene() {
     engine.announce(&WorkerOffer::all("another", whole, 60.0)).expect("it works");
     assert!(third().ends_with(" of memory"), "another one takes it: {}", third());
     engine.note_pause("another", Some("its disk is read-only")).expect("it works");
-    assert!(third().contains("the 2 that have it take no scene, as another: its disk is read-only"), "{}", third());
+    assert!(
+        third().contains("the 2 that have it take no scene, as another: its disk is read-only"),
+        "{}",
+        third()
+    );
 }

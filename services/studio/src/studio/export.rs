@@ -145,7 +145,8 @@ impl Studio {
         if writes.is_idle() {
             // It waits for the lock, and then finds the write.
             let thread = WriteThread(self.clone());
-            let started = std::thread::Builder::new().name("studio writes".into()).spawn(move || thread.run());
+            let started =
+                std::thread::Builder::new().name("studio writes".into()).spawn(move || thread.run());
             started.map_err(|_| StudioError::Request("no thread can be started to write it: try again"))?;
         }
         Ok(writes.add(id))

@@ -178,6 +178,9 @@ fn a_journal_that_is_full_refuses_what_could_not_be_read_again() {
     let most = 256 << 20;
     std::fs::OpenOptions::new().write(true).open(&path).unwrap().set_len(most).unwrap();
     let error = journal.append(&JournalEntry::Apply(paint(1))).unwrap_err();
-    assert!(error.to_string().contains("it is full") && error.to_string().contains("rename the file"), "{error}");
+    assert!(
+        error.to_string().contains("it is full") && error.to_string().contains("rename the file"),
+        "{error}"
+    );
     assert_eq!(std::fs::metadata(&path).unwrap().len(), most);
 }
