@@ -1,4 +1,4 @@
-//! `.glb` with `KHR_gaussian_splatting`, ratified by Khronos: one mesh of points whose attributes are the splats, as 32-bit
+//! `.glb` with Khronos' `KHR_gaussian_splatting`: one mesh of points whose attributes are the splats, as 32-bit
 //! floats. Programs that do not know the extension show the points in their colours.
 
 use super::rotation::unit_rotation;

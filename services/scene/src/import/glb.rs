@@ -1,4 +1,4 @@
-//! `.glb` with `KHR_gaussian_splatting`, ratified by Khronos: primitives of points whose attributes are the splats, at
+//! `.glb` with Khronos' `KHR_gaussian_splatting`: primitives of points whose attributes are the splats, at
 //! the nodes of a scene (github.com/KhronosGroup/glTF, `extensions/2.0/Khronos/KHR_gaussian_splatting/README.md`; the
 //! container and the accessors: glTF 2.0, sections 3 and 4).
 
@@ -21,6 +21,11 @@ const CHUNK_HEADER: usize = 8;
 /// The extension, and the others that change nothing about how its attributes are read.
 const EXTENSION: &str = "KHR_gaussian_splatting";
 const HARMLESS: [&str; 2] = [EXTENSION, "KHR_mesh_quantization"];
+/// glTF's number for primitives of points.
+const POINTS: u32 = 0;
+/// Most primitives of splats that a scene may show, counted at each of their nodes. A program writes one, or one per part of
+/// a scene; each takes about 200 bytes, and a pass over its splats.
+const MOST_INSTANCES: usize = 1 << 16;
 /// Highest degree of colours that the extension has.
 const DEGREES: u32 = 3;
 /// Opacities whose logits are finite.
@@ -106,6 +111,7 @@ struct GlbPrimitive {
     attributes: BTreeMap<String, usize>,
     #[serde(default)]
     extensions: Map<String, Value>,
+    mode: Option<u32>,
 }
 
 #[derive(Deserialize)]
@@ -138,7 +144,7 @@ struct GlbBuffer {
     uri: Option<String>,
 }
 
-/// What the description of a file says.
+/// The fields of a file's description that are used.
 #[derive(Debug)]
 pub(super) struct GlbHead {
     pub splats: usize,
@@ -209,6 +215,13 @@ impl<const N: usize> GlbColumn<'_, N> {
     }
 }
 
+/// A primitive of splats in a mesh: how many, and the degree of their colours.
+struct SplatPrimitive<'a> {
+    primitive: &'a GlbPrimitive,
+    splats: usize,
+    sh_degree: u32,
+}
+
 /// A primitive of splats at a node.
 struct GlbInstance<'a> {
     primitive: &'a GlbPrimitive,
@@ -224,12 +237,15 @@ pub(super) fn is_glb(start: &[u8]) -> bool {
 }
 
 /// Reads the description at the start of a file.
-pub(super) fn head(path: &Path, start: &[u8]) -> Result<GlbHead, SceneError> {
+///
+/// # Errors
+/// When it is damaged, shows more than `most` splats, or shows none that can be read.
+pub(super) fn head(path: &Path, start: &[u8], most: usize) -> Result<GlbHead, SceneError> {
     let (document, _) = description(path, start)?;
-    let instances = instances(path, &document)?;
+    let instances = instances(path, &document, most)?;
     let mode = document.asset.extras["SplatRenderMode"].as_str();
     Ok(GlbHead {
-        splats: instances.iter().fold(0, |sum, instance| sum.saturating_add(instance.splats)),
+        splats: instances.iter().map(|instance| instance.splats).sum(),
         sh_degree: instances.iter().map(|instance| instance.sh_degree).max().unwrap_or(0),
         antialias: mode.map(|mode| mode == "mip"),
         generator: document.asset.generator.clone(),
@@ -243,11 +259,7 @@ pub(super) fn head(path: &Path, start: &[u8]) -> Result<GlbHead, SceneError> {
 /// When the file is damaged, has more than `most` splats, or holds what cannot be read as splats.
 pub(super) fn read(path: &Path, bytes: &[u8], most: usize) -> Result<Splats, SceneError> {
     let (document, end) = description(path, bytes)?;
-    let instances = instances(path, &document)?;
-    let count = instances.iter().fold(0usize, |sum, instance| sum.saturating_add(instance.splats));
-    if count > most {
-        return Err(invalid(path, format!("{count} splats are more than the {most} that are read")));
-    }
+    let instances = instances(path, &document, most)?;
     let binary = binary(path, bytes, end)?;
     let sh_degree = instances.iter().map(|instance| instance.sh_degree).max().unwrap_or(0);
     let mut all = Splats { sh_degree, ..Splats::default() };
@@ -309,8 +321,13 @@ fn binary<'a>(path: &Path, bytes: &'a [u8], at: usize) -> Result<&'a [u8], Scene
     })
 }
 
-/// The primitives of splats that the scene shows, each at its node.
-fn instances<'a>(path: &Path, document: &'a GlbDocument) -> Result<Vec<GlbInstance<'a>>, SceneError> {
+/// The primitives of splats that the scene shows, each at its node: at most [`MOST_INSTANCES`] of them, with `most` splats
+/// together. A mesh may stand at any number of nodes, so it is read once.
+fn instances<'a>(
+    path: &Path,
+    document: &'a GlbDocument,
+    most: usize,
+) -> Result<Vec<GlbInstance<'a>>, SceneError> {
     let nodes = &document.nodes;
     let roots = match document.scenes.get(document.scene.unwrap_or(0)) {
         Some(scene) => scene.nodes.clone(),
@@ -325,7 +342,9 @@ fn instances<'a>(path: &Path, document: &'a GlbDocument) -> Result<Vec<GlbInstan
     };
     let mut reached = vec![false; nodes.len()];
     let mut left: Vec<(usize, DMat4)> = roots.into_iter().rev().map(|root| (root, DMat4::IDENTITY)).collect();
+    let mut of_meshes: Vec<Option<Vec<SplatPrimitive>>> = document.meshes.iter().map(|_| None).collect();
     let mut found = Vec::new();
+    let mut total = 0usize;
     while let Some((index, above)) = left.pop() {
         let node = nodes.get(index).ok_or_else(|| invalid(path, format!("there is no node {index}")))?;
         if std::mem::replace(&mut reached[index], true) {
@@ -334,14 +353,25 @@ fn instances<'a>(path: &Path, document: &'a GlbDocument) -> Result<Vec<GlbInstan
         let world = above * node.local();
         left.extend(node.children.iter().rev().map(|&child| (child, world)));
         let Some(mesh) = node.mesh else { continue };
-        let mesh =
-            document.meshes.get(mesh).ok_or_else(|| invalid(path, format!("there is no mesh {mesh}")))?;
-        for primitive in &mesh.primitives {
-            if let Some(extension) = primitive.extensions.get(EXTENSION) {
-                check_form(path, extension)?;
-                let (splats, sh_degree) = extent(path, document, primitive)?;
-                found.push(GlbInstance { primitive, world, splats, sh_degree });
+        let read = of_meshes.get_mut(mesh);
+        let read = read.ok_or_else(|| invalid(path, format!("there is no mesh {mesh}")))?;
+        if read.is_none() {
+            *read = Some(splat_primitives(path, document, &document.meshes[mesh])?);
+        }
+        for &SplatPrimitive { primitive, splats, sh_degree } in read.iter().flatten() {
+            total = total.saturating_add(splats);
+            if total > most {
+                let reason = format!("it has more than the {most} splats that are read: thin them out");
+                return Err(invalid(path, reason));
             }
+            if found.len() == MOST_INSTANCES {
+                let reason = format!(
+                    "it shows more than {MOST_INSTANCES} primitives of splats, those at several nodes counted at each: \
+                     write it as one primitive, or as .ply"
+                );
+                return Err(invalid(path, reason));
+            }
+            found.push(GlbInstance { primitive, world, splats, sh_degree });
         }
     }
     if found.is_empty() {
@@ -353,8 +383,29 @@ fn instances<'a>(path: &Path, document: &'a GlbDocument) -> Result<Vec<GlbInstan
     Ok(found)
 }
 
+/// The primitives of a mesh that are splats.
+fn splat_primitives<'a>(
+    path: &Path,
+    document: &GlbDocument,
+    mesh: &'a GlbMesh,
+) -> Result<Vec<SplatPrimitive<'a>>, SceneError> {
+    let mut found = Vec::new();
+    for primitive in &mesh.primitives {
+        let Some(extension) = primitive.extensions.get(EXTENSION) else { continue };
+        check_form(path, primitive, extension)?;
+        let (splats, sh_degree) = extent(path, document, primitive)?;
+        found.push(SplatPrimitive { primitive, splats, sh_degree });
+    }
+    Ok(found)
+}
+
 /// Refuses splats of another form than Gaussians whose colours are those of a screen.
-fn check_form(path: &Path, extension: &Value) -> Result<(), SceneError> {
+fn check_form(path: &Path, primitive: &GlbPrimitive, extension: &Value) -> Result<(), SceneError> {
+    // A file that leaves the mode out has splats all the same: the extension is for points alone.
+    if let Some(mode) = primitive.mode.filter(|&mode| mode != POINTS) {
+        let reason = format!("its splats are a primitive of mode {mode}, and {POINTS}, points, is read");
+        return Err(invalid(path, reason));
+    }
     let word = |name: &str| extension[name].as_str();
     if let Some(kernel) = word("kernel").filter(|&kernel| kernel != "ellipse") {
         let reason = format!("its splats are of the form `{}`, and `ellipse` is read", plain(kernel));
@@ -365,6 +416,11 @@ fn check_form(path: &Path, extension: &Value) -> Result<(), SceneError> {
             "its colours are `{}`, and `srgb_rec709_display` is read: the sum of coefficients cannot be converted",
             plain(space)
         );
+        return Err(invalid(path, reason));
+    }
+    if let Some(projection) = word("projection").filter(|&projection| projection != "perspective") {
+        let reason =
+            format!("its splats are projected as `{}`, and `perspective` is read", plain(projection));
         return Err(invalid(path, reason));
     }
     if let Some(packed) = extension["extensions"].as_object().and_then(|more| more.keys().next()) {
@@ -395,6 +451,9 @@ fn extent(path: &Path, document: &GlbDocument, primitive: &GlbPrimitive) -> Resu
     }
     let position = primitive.attributes.get("POSITION").and_then(|&index| document.accessors.get(index));
     let position = position.ok_or_else(|| invalid(path, "its splats have no `POSITION`"))?;
+    if position.count == 0 {
+        return Err(invalid(path, "a primitive of splats has none: leave it out of the file"));
+    }
     Ok((position.count, degree))
 }
 
@@ -431,10 +490,7 @@ fn column<'a, const N: usize>(
         return Err(wrong("has values that overlap"));
     }
     let bytes = || {
-        let length = match instance.splats {
-            0 => 0,
-            n => (n - 1).checked_mul(stride)?.checked_add(size)?,
-        };
+        let length = instance.splats.checked_sub(1)?.checked_mul(stride)?.checked_add(size)?;
         let within = accessor.byte_offset.checked_add(length)? <= view.byte_length;
         let start = view.byte_offset.checked_add(accessor.byte_offset)?;
         binary.get(start..start.checked_add(length)?).filter(|_| within)

@@ -145,7 +145,7 @@ impl SplatFile {
             let (splats, sh_degree) = (head.splats, head.sh_degree());
             SplatFile { path, layout: SplatLayout::Spz, splats, sh_degree, writer }
         } else if glb::is_glb(&start) {
-            let head = glb::head(&path, &start)?;
+            let head = glb::head(&path, &start, MOST_SPLATS)?;
             // glTF has y up; read in the axes of `.ply`, y points down.
             let named = SplatWriter::named(head.generator.as_deref(), head.antialias);
             let writer = SplatWriter { up: Some(UpAxis::MinusY), ..named };

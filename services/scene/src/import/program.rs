@@ -70,7 +70,7 @@ impl SplatWriter {
         writer
     }
 
-    /// Of what the description of a `.glb` or a `.sog` says.
+    /// By the fields of the description of a `.glb` or a `.sog`.
     pub(super) fn named(generator: Option<&str>, antialias: Option<bool>) -> SplatWriter {
         SplatWriter { program: generator.map(plain), up: None, antialias }
     }

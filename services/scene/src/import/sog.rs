@@ -80,7 +80,7 @@ struct SogPalette {
     files: [String; 2],
 }
 
-/// What the description says.
+/// The fields of the description that are used.
 #[derive(Debug)]
 pub(super) struct SogHead {
     pub splats: usize,

@@ -325,6 +325,9 @@ fn a_glb_that_is_no_plain_splats_is_refused_in_words() {
         ("/scenes/0/nodes", json!([]), "no splats"),
         ("/extensionsRequired", json!(["EXT_meshopt_compression"]), "EXT_meshopt_compression"),
         ("/accessors/0/count", json!(3), "cut short"),
+        ("/accessors/0/count", json!(0), "has none"),
+        ("/accessors/0/count", json!(u64::MAX), "thin them out"),
+        ("/meshes/0/primitives/1/mode", json!(4), "mode 4"),
         ("/accessors/1/count", json!(1), "1 values for 2 splats"),
         ("/accessors/1/type", json!("VEC4"), "`VEC3` is read"),
         ("/accessors/1/componentType", json!(5125), "a type"),
@@ -354,6 +357,7 @@ fn a_glb_that_is_no_plain_splats_is_refused_in_words() {
     }
     for (name, value, words) in [
         ("kernel", json!("sphere"), "`sphere`"),
+        ("projection", json!("spherical"), "`spherical`"),
         ("colorSpace", json!("lin_rec709_display"), "`lin_rec709_display`"),
         ("extensions", json!({ "KHR_gaussian_splatting_compression_spz_2": {} }), "compression_spz_2"),
     ] {
@@ -364,6 +368,32 @@ fn a_glb_that_is_no_plain_splats_is_refused_in_words() {
     let attributes = "/meshes/0/primitives/1/attributes";
     missing.pointer_mut(attributes).unwrap()["KHR_gaussian_splatting:SH_DEGREE_1_COEF_2"] = json!(2);
     assert!(refused(&missing).contains("degree 1 is missing"), "{}", refused(&missing));
+}
+
+#[test]
+fn a_small_glb_that_shows_its_splats_at_very_many_nodes_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("many.glb");
+    // Each of the nodes shows all primitives of the mesh: 40 million of them, from a description below 1 MiB.
+    let (nodes, primitives) = (20_000, 2_000);
+    let refused = |splats: usize| {
+        let extensions = json!({ "KHR_gaussian_splatting": {} });
+        let primitive = json!({ "attributes": { "POSITION": 0 }, "extensions": extensions });
+        let document = json!({
+            "asset": { "version": "2.0" },
+            "nodes": vec![json!({ "mesh": 0 }); nodes],
+            "meshes": [{ "primitives": vec![primitive; primitives] }],
+            "accessors": [{ "componentType": 5126, "count": splats, "type": "VEC3" }]
+        });
+        let file = glb(&document, &[]);
+        assert!(file.len() < 1 << 20, "{} bytes", file.len());
+        std::fs::write(&path, file).unwrap();
+        SplatFile::open(&path).expect_err("it is too much").to_string()
+    };
+    for (splats, words) in [(0, "has none"), (1, "65536 primitives"), (1_000, "thin them out")] {
+        let message = refused(splats);
+        assert!(message.contains(words) && message.contains("many.glb"), "{splats}: {message}");
+    }
 }
 
 /// A `.ply` with this head and a row of numbers per splat.
