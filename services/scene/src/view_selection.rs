@@ -33,6 +33,17 @@ pub struct CandidateView<'a> {
     pub cells: &'a [u32],
 }
 
+/// A photo that may be selected, known by its frame: what stands before the points is found by rendering it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FramedView<'a> {
+    /// Its name, as in [`CandidateView`].
+    pub name: &'a str,
+    /// The cells that it covers at most, ascending, each once: see [`cells_in_frame`].
+    pub cells: &'a [u32],
+    /// How far from the points its camera stands, in units of the scene.
+    pub distance: f32,
+}
+
 /// A photo that is selected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SelectedView {
@@ -59,17 +70,60 @@ impl ViewCoverage {
 
     /// What a photo would add, in [0, 1]: 1 is what the first photo adds that shows all points. 0 where there are no points.
     pub fn gain(&self, cells: &[u32]) -> f64 {
+        self.share(self.units(cells))
+    }
+
+    /// Parts of [`WHOLE`] as what is added.
+    fn share(&self, units: u64) -> f64 {
         let points = self.covered.len() / DIRECTION_BINS;
-        if points == 0 { 0.0 } else { self.units(cells) as f64 / (points as f64 * (WHOLE / 2) as f64) }
+        if points == 0 { 0.0 } else { units as f64 / (points as f64 * (WHOLE / 2) as f64) }
     }
 
     /// What a photo would add, in parts of [`WHOLE`].
     fn units(&self, cells: &[u32]) -> u64 {
-        let added = |&cell: &u32| match self.covered.get(cell as usize) {
-            Some(&covered) => WHOLE.checked_shr(u32::from(covered) + 1).unwrap_or(0),
-            None => 0,
+        cells.iter().map(|&cell| self.units_of(cell)).sum()
+    }
+
+    /// The same of one cell.
+    fn units_of(&self, cell: u32) -> u64 {
+        let covered = self.covered.get(cell as usize);
+        covered.and_then(|&covered| WHOLE.checked_shr(u32::from(covered) + 1)).unwrap_or(0)
+    }
+}
+
+/// What rendered photos had in their frame and did not show, since something stands before it.
+struct Occlusions {
+    /// `[point][bin]`, flat: in how many photos, and the least distance of their cameras.
+    cells: Vec<(u8, f32)>,
+}
+
+impl Occlusions {
+    fn none(points: usize) -> Occlusions {
+        Occlusions { cells: vec![(0, f32::INFINITY); points.saturating_mul(DIRECTION_BINS)] }
+    }
+
+    /// Adds a photo that was rendered, of whose cells it covers those of `shown`. Returns whether it leaves any out.
+    fn add(&mut self, view: &FramedView, shown: &[u32]) -> bool {
+        let occluded = view.cells.iter().filter(|cell| shown.binary_search(cell).is_err());
+        let mut any = false;
+        for &cell in occluded {
+            if let Some((times, nearest)) = self.cells.get_mut(cell as usize) {
+                (*times, *nearest) = (times.saturating_add(1), nearest.min(view.distance));
+                any = true;
+            }
+        }
+        any
+    }
+
+    /// What a photo that is not rendered yet is expected to add, in parts of [`WHOLE`]: a cell that `n` photos did not show
+    /// counts by `1 / (n + 1)`, but for a camera that stands nearer than all of theirs.
+    fn expected(&self, view: &FramedView, covered: &ViewCoverage) -> u64 {
+        let of_cell = |&cell: &u32| {
+            let (times, nearest) = self.cells.get(cell as usize).copied().unwrap_or((0, f32::INFINITY));
+            let times = if view.distance >= nearest { u64::from(times) } else { 0 };
+            covered.units_of(cell) / (times + 1)
         };
-        cells.iter().map(added).sum()
+        view.cells.iter().map(of_cell).sum()
     }
 }
 
@@ -116,8 +170,8 @@ struct QueuedView<'a> {
     units: u64,
     /// Of equal gains, the first name counts; of equal names, the first candidate.
     order: Reverse<(&'a str, usize)>,
-    /// Photos that were selected by then.
-    selected: usize,
+    /// Photos that were selected by then, and those that were rendered and left something out.
+    changes: usize,
 }
 
 /// Selects photos, each the one that adds most to `covered` and to those selected before it, until there are `most` or the next
@@ -146,14 +200,14 @@ pub fn select_views(
     let mut queue = BinaryHeap::with_capacity(candidates.len());
     for (index, candidate) in candidates.iter().enumerate() {
         let units = covered.units(candidate.cells);
-        queue.push(QueuedView { units, order: Reverse((candidate.name, index)), selected: 0 });
+        queue.push(QueuedView { units, order: Reverse((candidate.name, index)), changes: 0 });
     }
     while selected.len() < most {
         let Some(mut next) = queue.pop() else { break };
         let Reverse((_, index)) = next.order;
         let cells = candidates[index].cells;
-        if next.selected < selected.len() {
-            (next.units, next.selected) = (covered.units(cells), selected.len());
+        if next.changes < selected.len() {
+            (next.units, next.changes) = (covered.units(cells), selected.len());
             queue.push(next);
             continue;
         }
@@ -166,4 +220,69 @@ pub fn select_views(
         selected.push(SelectedView { candidate: index, added });
     }
     selected
+}
+
+/// As [`select_views`], where only `render` finds which of its cells a candidate covers, ascending: it is called for at most
+/// `renders` of them, and each that is selected is one of these.
+///
+/// What is rendered next is the candidate that is expected to add most to what the selected photos do cover: by its frame alone
+/// that is what it adds at most. Where rendered photos did not show a cell, others that are as far away are expected to show it
+/// the less: in a house, photos of other rooms have the object in their frames, and a wall before it.
+///
+/// # Errors
+/// Those of `render`.
+pub fn select_rendered_views<E>(
+    candidates: &[FramedView],
+    mut covered: ViewCoverage,
+    most: usize,
+    least: f64,
+    mut renders: usize,
+    mut render: impl FnMut(usize) -> Result<Vec<u32>, E>,
+) -> Result<Vec<SelectedView>, E> {
+    let mut occlusions = Occlusions::none(covered.covered.len() / DIRECTION_BINS);
+    let mut rendered: Vec<Option<Vec<u32>>> = vec![None; candidates.len()];
+    let mut selected: Vec<SelectedView> = Vec::new();
+    let mut changes = 0;
+    let mut queue = BinaryHeap::with_capacity(candidates.len());
+    for (index, candidate) in candidates.iter().enumerate() {
+        let units = covered.units(candidate.cells);
+        queue.push(QueuedView { units, order: Reverse((candidate.name, index)), changes });
+    }
+    while selected.len() < most {
+        let Some(mut next) = queue.pop() else { break };
+        let Reverse((_, index)) = next.order;
+        let candidate = &candidates[index];
+        if next.changes < changes {
+            next.units = match &rendered[index] {
+                Some(cells) => covered.units(cells),
+                None => occlusions.expected(candidate, &covered),
+            };
+            next.changes = changes;
+            queue.push(next);
+            continue;
+        }
+        let added = covered.share(next.units);
+        // No other adds more, or is expected to.
+        if next.units == 0 || added < least {
+            break;
+        }
+        match &rendered[index] {
+            Some(cells) => {
+                covered.add(cells);
+                selected.push(SelectedView { candidate: index, added });
+                changes += 1;
+            }
+            // Of the rendered ones more may be selected.
+            None if renders == 0 => {}
+            None => {
+                renders -= 1;
+                let cells = render(index)?;
+                changes += usize::from(occlusions.add(candidate, &cells));
+                let units = covered.units(&cells);
+                queue.push(QueuedView { units, order: next.order, changes });
+                rendered[index] = Some(cells);
+            }
+        }
+    }
+    Ok(selected)
 }

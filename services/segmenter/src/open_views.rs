@@ -8,7 +8,7 @@ use crate::view_splats::SplatSet;
 use crate::{Refiner, Request, SegmentError, ViewSplats};
 use glam::Vec3;
 use rayon::prelude::*;
-use segwild_scene::view_selection::{CandidateView, ViewCoverage, cells_in_frame, select_views};
+use segwild_scene::view_selection::{FramedView, ViewCoverage, cells_in_frame, select_rendered_views};
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -16,8 +16,8 @@ use std::sync::Arc;
 /// the object. Not varied yet.
 const SELECTION_POINTS: usize = 512;
 
-/// Photos that are rendered to find what they show, per photo that may be visited (method, section 6.9). By choice: of the photos
-/// in whose frame a surface lies, half see it from its other side. Not varied yet.
+/// Photos that are rendered to find what they show, per photo that may be visited, at most (method, section 6.9). By choice: of
+/// the photos in whose frame a surface lies, half see it from its other side. Not varied yet.
 const SURVEYED_PER_VISIT: usize = 2;
 
 /// What a photo adds under which it is not visited, 1 being what the first photo adds that shows the whole object (method, section
@@ -38,7 +38,7 @@ pub(crate) struct OpenViews<'a> {
     selected_after: usize,
     /// The views that may be visited next, with the splats that they show.
     views: Vec<(usize, Arc<SplatSet>)>,
-    /// What views show, as far as this click needed it.
+    /// The splats that prompted and visited views show, and those that are open: a bit per splat and view.
     known: HashMap<usize, Arc<SplatSet>>,
 }
 
@@ -116,50 +116,57 @@ impl<'a> OpenViews<'a> {
         let left = self.most.saturating_sub(visited.len());
         let may_answer = |view: &usize| !visited.contains(view) && self.refiner.answers(*view);
         let candidates: Vec<usize> = self.others.iter().copied().filter(may_answer).collect();
-        // First by frames alone, which takes no rendering: a photo in whose frame a point lies may show it.
-        let frames: Vec<Vec<u32>> = candidates.par_iter().map(|&view| in_frame(view, &|_| true)).collect();
         let meant = request.prompts.iter().filter(|prompt| !prompt.refused).map(|prompt| prompt.view);
         let queried: Vec<usize> = meant.chain(visited.iter().copied()).collect();
         let mut covered = ViewCoverage::none(points.len());
-        queried.iter().for_each(|&view| covered.add(&in_frame(view, &|_| true)));
-        let surveyed = self.best(&candidates, &frames, covered, SURVEYED_PER_VISIT * left);
-        // Then by what stands before the points.
-        let mut covered = ViewCoverage::none(points.len());
-        for view in queried {
+        self.compare(&queried)?;
+        for &view in &queried {
             let shown = self.shown_in(view)?;
             covered.add(&in_frame(view, &|point| shown.contains(splats[point])));
         }
-        self.compare(&surveyed)?;
-        let mut cells = Vec::with_capacity(surveyed.len());
-        for &view in &surveyed {
+        // Frames take no rendering: a photo in whose frame a point lies may show it.
+        let frames: Vec<Vec<u32>> = candidates.par_iter().map(|&view| in_frame(view, &|_| true)).collect();
+        let centre = points.iter().sum::<Vec3>() / points.len().max(1) as f32;
+        let photos: Vec<FramedView> = candidates
+            .iter()
+            .zip(&frames)
+            .map(|(&view, cells)| {
+                let PosedView { name, pose, .. } = &views[view];
+                FramedView { name, cells, distance: (pose.centre() - centre).length() }
+            })
+            .collect();
+        let mut surveyed = 0;
+        let at_first = covered.clone();
+        let render = |candidate: usize| -> Result<Vec<u32>, SegmentError> {
+            request.wanted()?;
+            surveyed += 1;
+            let view = candidates[candidate];
             let shown = self.shown_in(view)?;
-            cells.push(in_frame(view, &|point| shown.contains(splats[point])));
-        }
-        let selected = self.best(&surveyed, &cells, covered, left);
+            let cells = in_frame(view, &|point| shown.contains(splats[point]));
+            // No gain grows, so that this photo is not selected later.
+            if at_first.gain(&cells) < MIN_ADDED {
+                self.known.remove(&view);
+            }
+            Ok(cells)
+        };
+        let renders = SURVEYED_PER_VISIT * left;
+        let selected = select_rendered_views(&photos, covered, left, MIN_ADDED, renders, render)?;
+        let selected: Vec<usize> = selected.into_iter().map(|next| candidates[next.candidate]).collect();
         tracing::debug!(
             photos = self.others.len(),
-            surveyed = surveyed.len(),
+            surveyed,
             selected = selected.len(),
             visited = visited.len(),
             "photos are selected for a click"
         );
         self.views.clear();
-        for view in selected {
+        for &view in &selected {
             let shown = self.shown_in(view)?;
             self.views.push((view, shown));
         }
+        // Of the others the scene keeps what fits into its memory.
+        self.known.retain(|view, _| queried.contains(view) || selected.contains(view));
         Ok(())
-    }
-
-    /// The views that add most by the cells of each, in the order of what they add.
-    fn best(&self, views: &[usize], cells: &[Vec<u32>], covered: ViewCoverage, most: usize) -> Vec<usize> {
-        let photos: Vec<CandidateView> = views
-            .iter()
-            .zip(cells)
-            .map(|(&view, cells)| CandidateView { name: &self.request.views[view].name, cells })
-            .collect();
-        let selected = select_views(&photos, covered, most, MIN_ADDED);
-        selected.into_iter().map(|selected| views[selected.candidate]).collect()
     }
 
     /// Finds what views show where that is not at hand: several at once, where they can be.

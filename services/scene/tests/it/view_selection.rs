@@ -3,7 +3,8 @@
 use glam::Vec3;
 use proptest::prelude::*;
 use segwild_scene::view_selection::{
-    CandidateView, DIRECTION_BINS, SelectedView, ViewCoverage, cells_in_frame, select_views,
+    CandidateView, DIRECTION_BINS, FramedView, SelectedView, ViewCoverage, cells_in_frame,
+    select_rendered_views, select_views,
 };
 use segwild_scene::{Camera, Pose};
 
@@ -69,6 +70,14 @@ proptest! {
             let smaller = select_views(&photos, none.clone(), fewer, least);
             prop_assert_eq!(pairs(&smaller), pairs(&selected[..fewer]));
         }
+        // Where nothing occludes, rendering finds the same ones.
+        let framed: Vec<FramedView> = photos
+            .iter()
+            .map(|photo| FramedView { name: photo.name, cells: photo.cells, distance: 1.0 })
+            .collect();
+        let render = |photo: usize| Ok::<_, ()>(cells[photo].clone());
+        let rendered = select_rendered_views(&framed, none.clone(), most, least, framed.len(), render);
+        prop_assert_eq!(rendered.as_ref(), Ok(&selected));
         let reversed: Vec<CandidateView> = photos.iter().rev().copied().collect();
         let again = select_views(&reversed, none, most, least);
         let named = |of: &[CandidateView], selected: &[SelectedView]| -> Vec<(String, f64)> {
@@ -164,4 +173,41 @@ fn a_photo_covers_points_in_its_frame_before_it_that_nothing_occludes() {
     assert_eq!(all, [0, 4]);
     let open: Vec<usize> = cells_in_frame(&points, &camera, &pose, |i| i > 0).iter().map(point).collect();
     assert_eq!(open, [4]);
+}
+
+#[test]
+fn photos_that_a_wall_keeps_from_the_points_are_rendered_last_and_never_selected() {
+    // 300 photos from the same direction with all points in their frames: 290 of them beyond a wall, first by name.
+    let (walled, points) = (290, 10);
+    let all: Vec<u32> = (0..points as u32).map(|point| point * DIRECTION_BINS as u32).collect();
+    let names = names(walled + points);
+    let photos: Vec<FramedView> = names
+        .iter()
+        .enumerate()
+        .map(|(i, name)| {
+            let distance = if i < walled { 5.0 + ((i * 37 + 50) % 100) as f32 } else { 4.0 };
+            FramedView { name, cells: &all, distance }
+        })
+        .collect();
+    let select = |renders: usize| {
+        let mut rendered = Vec::new();
+        let none = ViewCoverage::none(points);
+        let selected = select_rendered_views(&photos, none, 64, 1.0 / 64.0, renders, |photo| {
+            rendered.push(photo);
+            Ok::<_, ()>(if photo < walled { Vec::new() } else { all.clone() })
+        });
+        (selected.unwrap().iter().map(|s| s.candidate).collect::<Vec<usize>>(), rendered.len())
+    };
+    let (selected, rendered) = select(128);
+    // The seventh adds 1/64, the next ones less.
+    assert_eq!(selected, (walled..walled + 7).collect::<Vec<_>>(), "of {rendered} rendered");
+    assert!(rendered < 40, "{rendered}");
+    assert_eq!(select(0), (vec![], 0));
+}
+
+#[test]
+fn a_failure_of_rendering_ends_the_selection() {
+    let photos = [FramedView { name: "a", cells: &[0], distance: 1.0 }];
+    let failed = select_rendered_views(&photos, ViewCoverage::none(1), 1, 0.0, 1, |_| Err("no device"));
+    assert_eq!(failed, Err("no device"));
 }

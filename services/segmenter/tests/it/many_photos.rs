@@ -14,6 +14,12 @@ use std::sync::Mutex;
 /// Photos that a click visits at most where a scene has more.
 const MOST: usize = 64;
 
+/// The setting by itself, which is beyond that.
+const SETTING: usize = 80;
+
+/// Photos of each of two halls.
+const OF_A_HALL: usize = 200;
+
 /// A statue (thing 0) on a floor (1). One of five photos is of any side, the others are of the front.
 struct ManyPhotos {
     world: TestWorld,
@@ -43,16 +49,35 @@ impl ManyPhotos {
         ManyPhotos { world, views: (0..photos).map(view).collect() }
     }
 
+    /// The same in a hall whose wall stands beyond the statue; the photos from the second one to the 201st are of the next hall, in
+    /// whose frames the statue lies, and are nearer to the wall's other side than to it.
+    fn two_halls() -> ManyPhotos {
+        let mut scene = ManyPhotos::new(2 * OF_A_HALL);
+        for x in 0..20 {
+            for y in 0..20 {
+                let at = |n: i32| (n as f32 - 9.5) * 0.1;
+                // Wider than elsewhere: no light comes through.
+                scene.world.disc(2, Vec3::new(at(x), at(y) - 0.35, 1.3), Vec3::Z, 0.12, [0.7, 0.7, 0.6]);
+            }
+        }
+        for photo in 1..=OF_A_HALL {
+            let (x, z) = ((photo * 29 % 200) as f32 / 200.0 - 0.5, (photo * 37 % 200) as f32 / 200.0);
+            scene.views[photo] = posed(&format!("{photo:04}.jpg"), Vec3::new(x, -0.35, 2.2 + z), Vec3::ZERO);
+        }
+        scene
+    }
+
     fn regions(&self, photo: usize) -> Vec<Mask> {
         regions(&self.world, from_ref(&self.views[photo]), &[0, 1]).remove(0)
     }
 
-    /// The selection by the statue's mask in the first photo, and the photos that were refined.
-    fn select(&self, shown: Option<&ViewSplats>) -> (Selection, BTreeSet<usize>) {
+    /// The selection by the statue's mask in the first photo, and the photos that were refined: `most` of them at most.
+    fn select(&self, most: usize, shown: Option<&ViewSplats>) -> (Selection, BTreeSet<usize>) {
         let (engine, regions) = (engine(), self.regions(0));
         let mask = &regions[0];
         let prompts = [PromptedView { view: 0, mask, open: None, points: &[], refused: false, boxes: &[] }];
-        let settings = SegmentSettings { propagate: 1, ..SegmentSettings::default() };
+        let settings =
+            SegmentSettings { propagate: 1, propagate_views: most, ..SegmentSettings::default() };
         let request = request(&engine, &self.world.splats, &self.views, &prompts, &settings);
         let refiner = RegionRefiner { scene: self, refined: Mutex::default() };
         let selection = select(&Request { shown, ..request }, Some(&refiner)).unwrap();
@@ -85,16 +110,16 @@ impl Refiner for RegionRefiner<'_> {
 #[test]
 fn a_scene_of_few_photos_is_visited_whole() {
     let scene = ManyPhotos::new(MOST + 1);
-    let (selection, refined) = scene.select(None);
+    let (selection, refined) = scene.select(SETTING, None);
     assert!(refined.into_iter().eq(1..=MOST), "all of them, barred or not");
     assert_eq!(selection.visits.len(), MOST);
-    assert!(ManyPhotos::new(MOST + 2).select(None).1.len() <= MOST);
+    assert!(ManyPhotos::new(MOST + 2).select(SETTING, None).1.len() <= MOST);
 }
 
 #[test]
 fn of_many_photos_those_are_visited_that_add_something_and_the_object_is_whole() {
     let scene = ManyPhotos::new(300);
-    let (selection, refined) = scene.select(None);
+    let (selection, refined) = scene.select(SETTING, None);
     let visited: Vec<usize> = selection.visits.iter().map(|visit| visit.view).collect();
     assert!((12..=MOST).contains(&visited.len()), "{}", visited.len());
     assert!(!refined.iter().any(|photo| is_barred(*photo)) && !visited.contains(&0));
@@ -115,6 +140,35 @@ fn of_many_photos_those_are_visited_that_add_something_and_the_object_is_whole()
     let shown = ViewSplats::new(world.len(), scene.views.len()).unwrap();
     for threads in [1, 3] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        assert!(pool.install(|| scene.select(Some(&shown))).0 == selection, "{threads} threads");
+        assert!(pool.install(|| scene.select(SETTING, Some(&shown))).0 == selection, "{threads} threads");
     }
+}
+
+#[test]
+fn where_more_photos_add_something_than_may_be_visited_those_are_visited_that_add_most() {
+    let scene = ManyPhotos::new(300);
+    // Without the bound, a dozen and more are visited: see above.
+    let visited: Vec<usize> = scene.select(6, None).0.visits.iter().map(|visit| visit.view).collect();
+    assert_eq!(visited.len(), 6, "{visited:?}");
+    // Four of five photos are within 25 degrees of the front.
+    let beside = visited.iter().filter(|photo| (45.0..315.0).contains(&degrees(**photo))).count();
+    assert!(beside >= 3, "{beside} of {visited:?}");
+}
+
+#[test]
+fn photos_of_the_next_hall_do_not_take_the_turn_of_those_that_show_the_object() {
+    let scene = ManyPhotos::two_halls();
+    let (selection, _) = scene.select(SETTING, None);
+    let visited: Vec<usize> = selection.visits.iter().map(|visit| visit.view).collect();
+    assert!(visited.iter().all(|photo| *photo > OF_A_HALL), "{visited:?} are not all of the statue's hall");
+    // From the wall's side there are 40 photos of the next hall for each of this one.
+    let from_the_wall: Vec<usize> =
+        visited.iter().copied().filter(|photo| (150.0..210.0).contains(&degrees(*photo))).collect();
+    assert!(from_the_wall.len() >= 2, "{from_the_wall:?} of {visited:?}");
+    let view = &scene.views[from_the_wall[0]];
+    let (engine, camera, pose) = (engine(), &view.camera, &view.pose);
+    let splats = &scene.world.splats;
+    let mask = visible_mask(&engine, splats, &selection.labels, &options(), camera, pose).unwrap();
+    let iou = mask.iou(&scene.regions(from_the_wall[0])[0]);
+    assert!(iou > 0.85, "{iou}");
 }
