@@ -155,7 +155,7 @@ pub fn run_scene(
     // A scene that is not there is no reason to make a folder.
     std::fs::metadata(scene).map_err(SceneError::io(scene)).map_err(RunError::from)?;
     let folder = RunFolder::create(out)?;
-    let options = RunOptions { events, stopper, providers: None, until };
+    let options = RunOptions { events, stopper, until, ..RunOptions::default() };
     let done = segwild_pipeline::run(scene, &folder, settings, &options);
     drop(options);
     drop(sink); // everything that happened is shown before the last word

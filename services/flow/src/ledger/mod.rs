@@ -36,6 +36,7 @@ mod open;
 mod rows;
 mod schema;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -304,6 +305,25 @@ impl Ledger {
                     now()
                 ],
             )?;
+            Ok(())
+        })
+    }
+
+    /// Forgets the views of a stage that are not among `kept`: an earlier run recorded them, and this one makes nothing of them.
+    ///
+    /// # Errors
+    /// When the ledger cannot be written.
+    pub fn forget_other_views(&self, stage: &str, kept: &BTreeSet<&str>) -> Result<(), LedgerError> {
+        let recorded = self.views(stage)?;
+        let others: Vec<&str> =
+            recorded.iter().map(|row| row.view.as_str()).filter(|view| !kept.contains(view)).collect();
+        if others.is_empty() {
+            return Ok(());
+        }
+        self.write(Commit::Quick, |t| {
+            for view in others {
+                t.execute("DELETE FROM views WHERE stage = ?1 AND view = ?2", params![stage, view])?;
+            }
             Ok(())
         })
     }

@@ -105,6 +105,23 @@ fn stages_are_done_under_their_key_only() {
 }
 
 #[test]
+fn views_of_which_a_later_run_makes_nothing_are_forgotten() {
+    let dir = tempfile::tempdir().unwrap();
+    let ledger = Ledger::open(dir.path().join("run.sqlite")).unwrap();
+    for stage in ["masks", "sky"] {
+        for view in ["a.jpg", "b.jpg", "c.jpg"] {
+            ledger.record_view(stage, view, &key(1), &ViewOutcome::cached()).unwrap();
+        }
+    }
+    ledger.forget_other_views("masks", &["a.jpg", "c.jpg", "d.jpg"].into()).unwrap();
+    let names = |stage: &str| -> Vec<String> {
+        ledger.views(stage).unwrap().into_iter().map(|row| row.view).collect()
+    };
+    assert_eq!(names("masks"), ["a.jpg", "c.jpg"]);
+    assert_eq!(names("sky").len(), 3);
+}
+
+#[test]
 fn views_checkpoints_settings_and_events_are_kept() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.sqlite");

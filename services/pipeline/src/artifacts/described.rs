@@ -19,10 +19,15 @@ const TRACKED_POINTS: usize = 1 << 16;
 const UNTRACKED_POINTS: usize = 1 << 12;
 
 /// The photos of which neither masks nor descriptors are made, of those that are `usable`: none of a scene of up to
-/// [`ALL_DESCRIBED`] photos, or without points. Of another, so many are described in the order of what they add, and after those
+/// `all` photos, or without points. Of another, so many are described in the order of what they add, and after those
 /// each that adds enough of what it shows.
-pub(crate) fn left_out(scene: &Scene, described: DescribedPhotos, usable: &[usize]) -> BTreeSet<usize> {
-    if described == DescribedPhotos::All || usable.len() <= ALL_DESCRIBED || scene.points.is_empty() {
+pub(crate) fn left_out(
+    scene: &Scene,
+    described: DescribedPhotos,
+    all: usize,
+    usable: &[usize],
+) -> BTreeSet<usize> {
+    if described == DescribedPhotos::All || usable.len() <= all || scene.points.is_empty() {
         return BTreeSet::new();
     }
     let (points, covered) = covered_cells(scene);
@@ -36,13 +41,13 @@ pub(crate) fn left_out(scene: &Scene, described: DescribedPhotos, usable: &[usiz
     for (rank, next) in select_views(&candidates, none.clone(), usable.len(), 0.0).iter().enumerate() {
         let view = usable[next.candidate];
         let cells = &covered[view];
-        if rank < ALL_DESCRIBED || by_others.gain(cells) >= MIN_NEW_SHARE * none.gain(cells) {
+        if rank < all || by_others.gain(cells) >= MIN_NEW_SHARE * none.gain(cells) {
             by_others.add(cells);
             left_out.remove(&view);
         }
     }
     // Photos that show no point add nothing by this measure: in even steps, they fill up.
-    let missing = (ALL_DESCRIBED + left_out.len()).saturating_sub(usable.len());
+    let missing = (all + left_out.len()).saturating_sub(usable.len());
     let rest: Vec<usize> = left_out.iter().copied().collect();
     (0..missing).for_each(|i| {
         left_out.remove(&rest[i * rest.len() / missing]);
@@ -118,7 +123,7 @@ mod tests {
 
     fn left_out_of(scene: &Scene) -> BTreeSet<usize> {
         let usable: Vec<usize> = (0..scene.views.len()).collect();
-        left_out(scene, DescribedPhotos::Auto, &usable)
+        left_out(scene, DescribedPhotos::Auto, ALL_DESCRIBED, &usable)
     }
 
     #[test]
@@ -148,9 +153,9 @@ mod tests {
         assert!(left_out_of(&halls(1, ALL_DESCRIBED, 10, true)).is_empty());
         let mut scene = halls(1, 300, 10, true);
         let usable: Vec<usize> = (0..300).collect();
-        assert!(left_out(&scene, DescribedPhotos::All, &usable).is_empty());
+        assert!(left_out(&scene, DescribedPhotos::All, ALL_DESCRIBED, &usable).is_empty());
         // Held-out photos do not count.
-        assert!(left_out(&scene, DescribedPhotos::Auto, &usable[..ALL_DESCRIBED]).is_empty());
+        assert!(left_out(&scene, DescribedPhotos::Auto, ALL_DESCRIBED, &usable[..ALL_DESCRIBED]).is_empty());
         // Photos that show no point fill up.
         scene.points.iter_mut().for_each(|point| point.track.retain(|seen| seen.view < 3));
         let left_out = left_out_of(&scene);

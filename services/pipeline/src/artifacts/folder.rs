@@ -106,6 +106,9 @@ pub(crate) struct Intake {
     /// record it.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub provider: String,
+    /// Photos that are trained on, and of which neither masks nor descriptors are made (method, section 9).
+    #[serde(default)]
+    pub undescribed: usize,
 }
 
 /// A scene in the middle of its training.

@@ -234,7 +234,8 @@ impl KeyInputs<'_> {
 
 impl Keys {
     /// The keys of everything that a run with these settings makes. `corrected`: per view, the hash of the mask of its
-    /// transients that a person has corrected.
+    /// transients that a person has corrected. `all_described`: photos up to which all are described under
+    /// `described_photos = auto`.
     pub fn of(
         scene: &Scene,
         Digests { photos: digests, imported, lpips, .. }: Digests,
@@ -243,6 +244,7 @@ impl Keys {
         corrected: &[Option<&str>],
         engine: &str,
         end: &End,
+        all_described: usize,
     ) -> Keys {
         let inputs = KeyInputs {
             scene,
@@ -285,7 +287,7 @@ impl Keys {
         let visibility = per_view(&|view| inputs.visibility(view, &geometry, &sky[view]));
         let takes_part = |i: &usize| !scene.views[*i].test && digests[*i].is_ok();
         let usable: Vec<usize> = views.clone().filter(takes_part).collect();
-        let left_out = described::left_out(scene, settings.run.described_photos, &usable);
+        let left_out = described::left_out(scene, settings.run.described_photos, all_described, &usable);
         let features = inputs.features(&geometry, &embedding, &masks);
         // The same key where no photo is left out, so that those of such runs stay as they were.
         let features =

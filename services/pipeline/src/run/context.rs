@@ -246,6 +246,14 @@ impl RunContext<'_> {
         Ok(self.setup.ledger.start_stage(stage.name(), key)?)
     }
 
+    /// As [`RunContext::open`] of a stage that goes over the described `views`. Those that an earlier run described and this one
+    /// does not are forgotten: what the run folder says of the stage is then what this run makes of it.
+    pub fn open_described(&mut self, stage: Stage, key: &Key, views: &[usize]) -> Result<(), RunError> {
+        self.open(stage, key, views.len())?;
+        let names = views.iter().map(|&view| self.scene.views[view].name.as_str()).collect();
+        Ok(self.setup.ledger.forget_other_views(stage.name(), &names)?)
+    }
+
     /// Shows progress of a stage over `total` photos or steps.
     pub fn start_bar(&mut self, stage: Stage, total: u64) {
         let bar = self.setup.options.events.stage(stage.name(), Some(total));

@@ -75,6 +75,7 @@ pub fn execute<'a>(
     end_of_actors(&run, &report, outcome.map_err(stopped))?;
     let mut intake = prepared.intake.clone();
     intake.skipped.extend(run.take_skipped());
+    intake.undescribed = plan.keys.left_out();
     folder.write_intake(&intake)?;
 
     let holds_out = !intake.held_out.is_empty();

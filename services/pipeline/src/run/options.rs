@@ -1,6 +1,7 @@
 //! What a run is given beside its settings, and what it returns.
 
 use super::until::Until;
+use crate::artifacts::described::ALL_DESCRIBED;
 use crate::output::evaluate::HeldOut;
 use crate::transients::TrainFit;
 use segwild_flow::{Events, Stopper};
@@ -19,11 +20,19 @@ pub struct RunOptions {
     pub providers: Option<Providers>,
     /// Where to stop; `None` goes to the end.
     pub until: Option<Until>,
+    /// Photos up to which masks and descriptors are made of all, under `described_photos = auto` (method, section 9).
+    pub all_described: usize,
 }
 
 impl Default for RunOptions {
     fn default() -> Self {
-        RunOptions { events: Events::new(), stopper: Stopper::new(), providers: None, until: None }
+        RunOptions {
+            events: Events::new(),
+            stopper: Stopper::new(),
+            providers: None,
+            until: None,
+            all_described: ALL_DESCRIBED,
+        }
     }
 }
 

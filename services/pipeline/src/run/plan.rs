@@ -41,7 +41,9 @@ pub struct RunPlan {
 pub fn plan(prepared: &PreparedRun, folder: &RunFolder, options: &RunOptions) -> Result<RunPlan, RunError> {
     let PreparedRun { scene, settings, providers, engine, end, corrections, digests, ledger, .. } = prepared;
     let named = |settings: &Settings, corrections: &Corrections, engine: &str, end: &End| {
-        Keys::of(scene, digests.clone(), settings, providers, &corrections.digests(), engine, end)
+        let corrected = corrections.digests();
+        let all = options.all_described;
+        Keys::of(scene, digests.clone(), settings, providers, &corrected, engine, end, all)
     };
     let name = |settings: &Settings| named(settings, corrections, engine.name(), end);
     let keys = name(settings);

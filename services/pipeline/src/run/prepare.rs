@@ -199,6 +199,7 @@ fn intake_of(path: &Path, scene: &Scene) -> Intake {
         points: scene.points.len(),
         frame: scene.frame,
         provider: String::new(),
+        undescribed: 0,
     }
 }
 

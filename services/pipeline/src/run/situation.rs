@@ -4,6 +4,7 @@ use super::choice;
 use super::continued::ContinuedTraining;
 use super::examine::examine_photos;
 use super::poses::scene_or_photos;
+use crate::artifacts::described::ALL_DESCRIBED;
 use crate::artifacts::digests::photo_digest;
 use crate::artifacts::keys::{End, Keys, TrainingOrigin};
 use crate::transients::Corrections;
@@ -80,6 +81,7 @@ impl Situation {
                 &corrections.digests(),
                 engine.name(),
                 end,
+                ALL_DESCRIBED,
             )
         };
         let name = |settings: &Settings| named(settings, &corrections, end);

@@ -126,13 +126,14 @@ fn a_stage_whose_result_is_in_the_cache_does_not_start() {
 #[test]
 fn of_more_photos_than_pay_some_have_masks_and_embeddings_and_all_are_trained_on() {
     let dir = tempfile::tempdir().expect("a temporary folder");
-    write_scene_of(&dir.path().join("scene"), 205);
+    write_scene_of(&dir.path().join("scene"), 24);
     let run_with = |described: DescribedPhotos| {
         let (actors, events) = (Simulated::default(), Events::new());
         let mut settings = settings();
         settings.run.described_photos = described;
         let listener = events.subscribe();
-        let options = RunOptions { until: Some(FEATURES), events, ..RunOptions::default() };
+        let options =
+            RunOptions { until: Some(FEATURES), events, all_described: 22, ..RunOptions::default() };
         let (scene, folder) = (dir.path().join("scene"), dir.path().join("run"));
         let folder = RunFolder::create(&folder).expect("a folder");
         let summary = run_with_actors(&scene, &folder, &settings, &options, &actors).expect("it runs");
@@ -151,17 +152,22 @@ fn of_more_photos_than_pay_some_have_masks_and_embeddings_and_all_are_trained_on
         };
         let field_of: BTreeSet<usize> = actors.field_of.lock().expect("no panic").iter().copied().collect();
         assert_eq!(summary.skipped.len(), 0);
-        (of(Stage::Sky).len(), of(Stage::Embed), of(Stage::Masks), field_of, messages)
+        let ledger = Ledger::open_read_only(dir.path().join("run/run.sqlite")).expect("its ledger");
+        let recorded = ["masks", "embed"].map(|stage| ledger.views(stage).expect("its photos").len());
+        (of(Stage::Sky).len(), of(Stage::Embed), of(Stage::Masks), field_of, recorded, messages)
     };
-    let (skies, embedded, masked, field_of, messages) = run_with(DescribedPhotos::Auto);
-    assert_eq!((skies, embedded.len()), (205, 200));
-    assert!(embedded == masked && masked == field_of);
-    let says = "masks and descriptors are made of 200 of 205 photos: the other 5";
-    assert!(messages.iter().any(|message| message.starts_with(says)), "{messages:#?}");
-    // The field of all photos is another one.
-    let (_, embedded, masked, field_of, messages) = run_with(DescribedPhotos::All);
-    assert_eq!((embedded.len(), masked.len(), field_of.len()), (205, 205, 205));
+    let (skies, embedded, masked, field_of, recorded, messages) = run_with(DescribedPhotos::All);
+    assert_eq!((skies, embedded.len(), masked.len(), field_of.len()), (24, 24, 24, 24));
+    assert_eq!(recorded, [24, 24]);
     assert!(!messages.iter().any(|message| message.contains("masks and descriptors")), "{messages:#?}");
+    // The field of some of them is another one, and the ledger forgets the others: the scene tree is of the masks that it names.
+    let (_, embedded, masked, field_of, recorded, messages) = run_with(DescribedPhotos::Auto);
+    assert_eq!((embedded.len(), recorded), (22, [22, 22]));
+    assert!(embedded == masked && masked == field_of);
+    let says = "masks and descriptors are made of 22 of 24 photos: the other 2";
+    assert!(messages.iter().any(|message| message.starts_with(says)), "{messages:#?}");
+    let intake = String::from_utf8(bytes(dir.path(), "run/scene.json")).expect("text");
+    assert!(intake.contains(r#""undescribed": 2"#), "{intake}");
 }
 
 #[test]

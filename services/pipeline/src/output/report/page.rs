@@ -4,7 +4,6 @@ use super::html::{self, ChartSeries};
 use super::objects;
 use super::shown::{SHOWN, pass, small_photo, spread};
 use crate::artifacts::auto_choice::AutoChoice;
-use crate::artifacts::described::ALL_DESCRIBED;
 use crate::artifacts::folder::Loaded;
 use crate::artifacts::history::{self, Moment};
 use crate::artifacts::images::ImageFiles;
@@ -84,8 +83,9 @@ fn figures(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
             intake.skipped.len()
         ),
     );
-    let (described, trained) = (made(folder, "masks")?.len(), loaded.model.trained_on.len());
-    if trained > ALL_DESCRIBED && (1..trained).contains(&described) {
+    if intake.undescribed > 0 && !made(folder, "masks")?.is_empty() {
+        let trained = loaded.model.trained_on.len();
+        let described = trained.saturating_sub(intake.undescribed);
         let of = format!("{described} of {trained} photos, those that show most from most directions");
         row("masks and descriptors of", of);
     }

@@ -45,7 +45,7 @@ impl ActorStage for EmbedStage {
     fn start(&mut self, run: &mut RunContext<'_>, actors: &Actors<'_>) -> Result<(), RunError> {
         let views = run.described_views();
         *self = EmbedStage::Open(views.len());
-        run.open(Stage::Embed, &NODE.key(run.keys()), views.len())?;
+        run.open_described(Stage::Embed, &NODE.key(run.keys()), &views)?;
         let (features, keys) = (actors.features.clone(), run.keys().embedding.clone());
         // A source only sends and needs no threads to compute on.
         let feeder = ActorOptions { threads: Some(1), ..ActorOptions::default() };

@@ -53,7 +53,7 @@ impl ActorStage for MasksStage {
         let Some(snapshot) = run.made.snapshot.take() else { return Ok(()) };
         let views = run.described_views();
         *self = MasksStage::Open(views.len());
-        run.open(Stage::Masks, &NODE.key(run.keys()), views.len())?;
+        run.open_described(Stage::Masks, &NODE.key(run.keys()), &views)?;
         let (size, keys, skies) =
             (run.setup.settings.scene.size, run.keys().masks.clone(), run.signals.skies.clone());
         let (cache, mask_source, out) =
