@@ -3,7 +3,7 @@
 use crate::DescribedPhotos;
 use glam::Vec3;
 use segwild_scene::view_selection::{CandidateView, ViewCoverage, cell, cells_in_frame, select_views};
-use segwild_scene::{Point, Scene, View};
+use segwild_scene::{NEAR, Point, Scene, View};
 use std::collections::BTreeSet;
 
 /// Photos up to which all are described (method, section 9). By choice: more than any scene has on which masks or features were
@@ -17,6 +17,14 @@ const MIN_NEW_SHARE: f64 = 1.0 / 16.0;
 /// Points that photos are compared by, at most: those with tracks, and those that are looked for in each photo's frame.
 const TRACKED_POINTS: usize = 1 << 16;
 const UNTRACKED_POINTS: usize = 1 << 12;
+
+/// Parts of a frame along each side, for scenes without tracks (method, section 9). By choice: so many points lie in a frame that
+/// most parts of a surface near the camera have one. Not varied yet.
+const FRAME_PARTS: usize = 16;
+
+/// Depth of a point relative to the nearest one in its part of a frame, beyond which that one's surface occludes it (method,
+/// section 9). By choice: a floor that reaches into the distance is less steep in most parts. Not varied yet.
+const MAX_DEPTH_RATIO: f32 = 1.5;
 
 /// The photos of which neither masks nor descriptors are made, of those that are `usable`: none of a scene of up to
 /// `all` photos, or without points. Of another, so many are described in the order of what they add, and after those
@@ -56,14 +64,13 @@ pub(crate) fn left_out(
 }
 
 /// The number of points that photos are compared by, and per view of the scene the cells that it covers: by the tracks of the
-/// points, or where none has one by its frame.
+/// points, or where none has one by what lies in its frame.
 fn covered_cells(scene: &Scene) -> (usize, Vec<Vec<u32>>) {
     let tracked: Vec<&Point> = scene.points.iter().filter(|point| !point.track.is_empty()).collect();
     if tracked.is_empty() {
         let sampled = evenly(scene.points.len(), UNTRACKED_POINTS);
         let points: Vec<Vec3> = sampled.map(|i| scene.points[i].position).collect();
-        let in_frame = |view: &View| cells_in_frame(&points, &view.camera, &view.pose, |_| true);
-        return (points.len(), scene.views.iter().map(in_frame).collect());
+        return (points.len(), scene.views.iter().map(|view| cells_shown(&points, view)).collect());
     }
     let mut covered = vec![Vec::new(); scene.views.len()];
     let points: Vec<&Point> = evenly(tracked.len(), TRACKED_POINTS).map(|i| tracked[i]).collect();
@@ -74,6 +81,30 @@ fn covered_cells(scene: &Scene) -> (usize, Vec<Vec<u32>>) {
         }
     }
     (points.len(), covered)
+}
+
+/// The cells that a view covers, by its frame and by the points that stand before others: in a house, the points of other rooms
+/// lie in a photo's frame as well.
+fn cells_shown(points: &[Vec3], view: &View) -> Vec<u32> {
+    let View { camera, pose, .. } = view;
+    let part_and_depth = |point: Vec3| {
+        let seen = pose.to_camera(point);
+        let pixel = camera.pixel(seen);
+        let along = |at: f32, size: u32| {
+            let part = (at / size as f32 * FRAME_PARTS as f32) as usize;
+            part.min(FRAME_PARTS - 1)
+        };
+        let in_frame = seen.z > NEAR && camera.contains(pixel);
+        in_frame.then(|| (along(pixel.y, camera.height) * FRAME_PARTS + along(pixel.x, camera.width), seen.z))
+    };
+    let mut nearest = [f32::INFINITY; FRAME_PARTS * FRAME_PARTS];
+    for (part, depth) in points.iter().filter_map(|&point| part_and_depth(point)) {
+        nearest[part] = nearest[part].min(depth);
+    }
+    let shows = |point: usize| {
+        part_and_depth(points[point]).is_some_and(|(part, depth)| depth <= MAX_DEPTH_RATIO * nearest[part])
+    };
+    cells_in_frame(points, camera, pose, shows)
 }
 
 /// At most `most` of so many indices, in even steps.
@@ -87,27 +118,35 @@ mod tests {
     use super::*;
     use segwild_scene::{Camera, Observation, Photo, Pose, SceneFrame, Seal};
 
+    /// A photo from `eye`, with `target` in the middle.
+    fn photo(path: String, eye: Vec3, target: Vec3) -> View {
+        let camera = Camera { width: 200, height: 200, fx: 150.0, fy: 150.0, cx: 100.0, cy: 100.0 };
+        let photo = Photo {
+            path: path.clone().into(),
+            ignore: None,
+            usable: None,
+            lens: None,
+            seal: Seal::default(),
+            reading: Default::default(),
+        };
+        View { name: path, camera, pose: Pose::look_at(eye, target, Vec3::NEG_Y), photo, test: false }
+    }
+
+    fn scene_of(views: Vec<View>, points: Vec<Point>) -> Scene {
+        let frame = SceneFrame { origin: glam::DVec3::ZERO, scale: 1.0 };
+        Scene { views, points, skipped: Vec::new(), notes: Vec::new(), frame, imported: None }
+    }
+
     /// So many halls beside one another, each with points on its floor and photos from all sides, of which all but `around` are of
     /// the front. Each photo shows the points of its hall.
     fn halls(halls: usize, photos: usize, around: usize, tracks: bool) -> Scene {
-        let camera = Camera { width: 200, height: 200, fx: 150.0, fy: 150.0, cx: 100.0, cy: 100.0 };
         let (mut views, mut points) = (Vec::new(), Vec::new());
         for hall in 0..halls {
             let middle = Vec3::new(hall as f32 * 100.0, 0.0, 0.0);
             for i in 0..photos {
                 let turn = if i < around { i as f32 / around as f32 * std::f32::consts::TAU } else { 0.1 };
                 let eye = middle + 3.0 * Vec3::new(turn.sin(), -0.4, -turn.cos());
-                let path = format!("{hall}-{i:03}.png");
-                let photo = Photo {
-                    path: path.clone().into(),
-                    ignore: None,
-                    usable: None,
-                    lens: None,
-                    seal: Seal::default(),
-                    reading: Default::default(),
-                };
-                let pose = Pose::look_at(eye, middle, Vec3::NEG_Y);
-                views.push(View { name: path, camera, pose, photo, test: false });
+                views.push(photo(format!("{hall}-{i:03}.png"), eye, middle));
             }
             for k in 0..30 {
                 let (x, z) = ((k % 6) as f32 * 0.1 - 0.25, (k / 6) as f32 * 0.1 - 0.2);
@@ -117,8 +156,7 @@ mod tests {
                 points.push(Point { position, colour: [0.5; 3], track });
             }
         }
-        let frame = SceneFrame { origin: glam::DVec3::ZERO, scale: 1.0 };
-        Scene { views, points, skipped: Vec::new(), notes: Vec::new(), frame, imported: None }
+        scene_of(views, points)
     }
 
     fn left_out_of(scene: &Scene) -> BTreeSet<usize> {
@@ -146,6 +184,23 @@ mod tests {
         let many = halls(60, 48, 8, true);
         let described = many.views.len() - left_out_of(&many).len();
         assert!((480..1440).contains(&described), "{described} of {}", many.views.len());
+    }
+
+    #[test]
+    fn photos_that_have_a_hall_beyond_a_wall_in_their_frames_do_not_stand_for_those_in_it() {
+        let at = |x: f32, y: f32, z: f32| Point {
+            position: Vec3::new(x, y, z),
+            colour: [0.5; 3],
+            track: Vec::new(),
+        };
+        // Wall and hall in the same directions from 300 photos before the wall, and from 20 between the two.
+        let wall = (0..1681).map(|i| at((i % 41) as f32 * 0.1 - 2.0, (i / 41) as f32 * 0.1 - 2.0, -30.0));
+        let hall = (0..30).map(|i| at((i % 6) as f32 * 0.1 - 0.25, (i / 6) as f32 * 0.1 - 0.2, 0.0));
+        let from = |z: f32, i: usize| photo(format!("{i:03}.png"), Vec3::new(0.0, 0.0, z), Vec3::ZERO);
+        let views = (0..320).map(|i| from(if i < 300 { -33.0 } else { -3.0 }, i)).collect();
+        let left_out = left_out_of(&scene_of(views, wall.chain(hall).collect()));
+        assert_eq!(left_out.len(), 320 - ALL_DESCRIBED);
+        assert!(left_out.iter().all(|view| *view < 300), "{left_out:?}");
     }
 
     #[test]
