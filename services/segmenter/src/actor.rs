@@ -18,6 +18,7 @@ use segwild_scene::{Image, Mask, Prompts, ReaderError, ScoredMask, Splats};
 use segwild_vision::{PromptSegmenter, Prompted};
 use std::collections::HashMap;
 use std::ops::Range;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 
 /// Reads the photo of a view at the size in which prompts are given.
@@ -105,6 +106,8 @@ pub struct SegmentActor {
     pub shown: Option<ViewSplats>,
     /// Views of which that is computed while there is no task, one after the other.
     pub ahead: Range<usize>,
+    /// About how many bytes of memory it keeps from task to task beside what it shares: [`SegmentActor::count_bytes`] sets it.
+    pub bytes: Arc<AtomicUsize>,
 }
 
 /// Why a group of the scene tree selects nothing.
@@ -133,6 +136,13 @@ fn refuses(prompts: &Prompts) -> bool {
 }
 
 impl SegmentActor {
+    /// Counts the memory of the neighbour graph, of its affinities and of what the views show, as far as they are made.
+    pub fn count_bytes(&self) {
+        let shown = self.shown.as_ref().map_or(0, ViewSplats::bytes);
+        let seen_once = self.seen_once.as_ref().map_or(0, Vec::len);
+        self.bytes.store(self.graph.bytes() + shown + seen_once, Ordering::Relaxed);
+    }
+
     fn segment(&mut self, task: &SegmentTask, context: &Context) -> Result<Segmented, SegmentError> {
         let steps = TaskSteps { task, context };
         if steps.cancelled() {
@@ -318,11 +328,13 @@ impl Actor for SegmentActor {
             tracing::debug!(view, %reason, "what a view shows is not known before the first click");
             self.ahead = 0..0;
         }
+        self.count_bytes();
         Ok(Idle::Again)
     }
 
     fn handle(&mut self, task: SegmentTask, context: &Context) -> Result<(), ActorFailure> {
         let answer = self.segment(&task, context).map(Box::new);
+        self.count_bytes();
         // Nobody may be waiting for the answer any more.
         let _ = task.reply.blocking_send(SegmentReply::Done(answer));
         Ok(())

@@ -71,6 +71,11 @@ impl SceneAffinities {
         let computed = graph.affinities(splats, field);
         known.get_or_init(|| computed)
     }
+
+    /// Bytes that they take in memory.
+    pub fn bytes(&self) -> usize {
+        self.computed.iter().filter_map(OnceLock::get).map(|known| size_of_val(known.as_slice())).sum()
+    }
 }
 
 /// The neighbour graph of a scene with its affinities, kept from selection to selection.
@@ -100,6 +105,11 @@ impl SceneGraph {
     /// The affinities of its edges, as far as selections needed them.
     pub fn affinities(&self) -> &SceneAffinities {
         &self.affinities
+    }
+
+    /// Bytes that it takes in memory with its affinities.
+    pub fn bytes(&self) -> usize {
+        self.graph.as_ref().map_or(0, NeighbourGraph::bytes) + self.affinities.bytes()
     }
 
     /// Computes the affinities before a selection needs them.
@@ -135,6 +145,15 @@ impl NeighbourGraph {
             }
         });
         NeighbourGraph { nearest: k, offsets, neighbours, distances, spacing }
+    }
+
+    /// Bytes that it takes in memory.
+    pub fn bytes(&self) -> usize {
+        let NeighbourGraph { nearest: _, offsets, neighbours, distances, spacing } = self;
+        size_of_val(offsets.as_slice())
+            + size_of_val(neighbours.as_slice())
+            + size_of_val(distances.as_slice())
+            + size_of_val(spacing.as_slice())
     }
 
     /// Number of splats.

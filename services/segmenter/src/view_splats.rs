@@ -79,6 +79,11 @@ impl ViewSplats {
         if self.views <= self.most.min(MOST_AHEAD) { 0..self.views } else { 0..0 }
     }
 
+    /// Bytes that the views known so far take in memory.
+    pub fn bytes(&self) -> usize {
+        lock(&self.known).len() * size_of::<u64>() * self.splats.div_ceil(64)
+    }
+
     /// Whether it is of a scene with so many splats and views.
     pub(crate) fn fits(&self, splats: usize, views: usize) -> bool {
         self.splats == splats && self.views == views
@@ -121,6 +126,7 @@ mod tests {
         };
         let small = ViewSplats::new(20_000, 60).unwrap();
         assert!((0..60).all(|view| computed(&small, view) == 1));
+        assert_eq!(small.bytes(), 60 * 8 * 20_000usize.div_ceil(64));
         let large = ViewSplats::new(200_000_000, 1000).unwrap();
         let calls: Vec<usize> = (0..4).map(|view| computed(&large, view)).collect();
         assert_eq!(calls, [1, 1, 2, 2]);

@@ -30,6 +30,7 @@ use segwild_segmenter::{
 use segwild_trainer::Model;
 use segwild_vision::Providers;
 use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
 use std::time::Instant;
 
 /// How a session is opened.
@@ -71,6 +72,8 @@ pub struct Session {
     pub(super) splats: Arc<Splats>,
     /// Bytes that the segmenter's features take.
     pub(super) feature_bytes: usize,
+    /// Bytes that the segmenter keeps from click to click: its neighbour graph, affinities, and what each photo shows.
+    pub(super) segmenter_bytes: Arc<AtomicUsize>,
     pub(super) engine: Arc<dyn Engine>,
     /// Renders which splat is in front at each pixel; its buffers are used again from view to view.
     pub(super) fronts: CpuEngine,
@@ -184,10 +187,12 @@ impl Session {
         let engine_of_actor = engine.clone();
         let splats_of_actor = splats.clone();
         let tree_of_actor = tree.as_ref().map(|keyed| keyed.tree.clone());
+        let segmenter_bytes = Arc::new(AtomicUsize::new(0));
+        let bytes = segmenter_bytes.clone();
         system.spawn(inbox, ActorOptions { attempts: 1, ..ActorOptions::default() }, move || {
             let shown = ViewSplats::new(splats_of_actor.len(), views.len());
             let known = tree_of_actor.as_ref().filter(|tree| tree.shown_by.len() == splats_of_actor.len());
-            Ok(SegmentActor {
+            let actor = SegmentActor {
                 engine: engine_of_actor.clone(),
                 options,
                 splats: splats_of_actor.clone(),
@@ -209,7 +214,10 @@ impl Session {
                     _ => 0..0,
                 },
                 shown,
-            })
+                bytes: bytes.clone(),
+            };
+            actor.count_bytes();
+            Ok(actor)
         })?;
         let files = ImageFiles::of(scene.views.iter().map(|v| v.name.as_str()));
         let folder = folder.clone();
@@ -221,6 +229,7 @@ impl Session {
             model,
             splats,
             feature_bytes,
+            segmenter_bytes,
             engine,
             fronts: CpuEngine::new(),
             providers,

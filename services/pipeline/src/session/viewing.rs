@@ -1,6 +1,7 @@
 //! What a person sees of a session: photos, the scene from any camera, and files of objects.
 
 use super::answer::Answer;
+use super::kept_masks::MASK_BYTES;
 use super::resident::{PHOTO_BYTES, Session};
 use crate::artifacts::selected::Selected;
 use crate::output::cover::cover;
@@ -15,6 +16,7 @@ use segwild_scene::{
 };
 use segwild_trainer::{Model, SceneLighting, render_lit};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 /// Numbers per splat that a highlight blends: colour times share, and share.
 const HIGHLIGHT_CHANNELS: usize = 4;
@@ -103,7 +105,8 @@ impl ShownScene {
 }
 
 impl Session {
-    /// About how many bytes the session takes in memory: splats, features, tree, photos.
+    /// About how many bytes the session takes in memory: splats, features, tree, photos, masks of skies and transients, and what
+    /// clicks have computed of the scene so far.
     pub fn bytes(&self) -> usize {
         let splats = &self.model.splats;
         let of_splats = 4 * (11 * splats.len() + splats.sh.len() + self.model.splat_embeddings.len());
@@ -113,7 +116,9 @@ impl Session {
             camera.width as usize * camera.height as usize
         };
         let photos: usize = (0..self.scene.views.len()).map(|view| PIXEL_BYTES * pixels(view)).sum();
-        of_splats + self.feature_bytes + GROUP_BYTES * groups + photos.min(PHOTO_BYTES)
+        let masks = 2 * (photos / (8 * PIXEL_BYTES)).min(MASK_BYTES);
+        let of_clicks = self.segmenter_bytes.load(Ordering::Relaxed) + masks;
+        of_splats + self.feature_bytes + of_clicks + GROUP_BYTES * groups + photos.min(PHOTO_BYTES)
     }
 
     /// Long side in pixels at which photos are worked with.
