@@ -20,14 +20,19 @@ pub(crate) struct GpuChannels {
 }
 
 impl GpuChannels {
-    /// `None` where they would take more than their share of the device's memory.
+    /// Whether `count` channels of `n` splats take no more than their share of a device's memory.
+    pub fn fit(n: usize, count: usize, budget: u64) -> bool {
+        let bytes = (4 * n as u64).saturating_mul(count.next_multiple_of(4 * at_once(count)) as u64);
+        channels_fit(bytes, budget)
+    }
+
+    /// `None` where they would take more than their share of the device's memory ([`GpuChannels::fit`]).
     pub fn upload(device: &Arc<GpuDevice>, channels: &Channels) -> Result<Option<GpuChannels>, GpuError> {
         let Channels { count, values } = *channels;
         let n = values.len() / count.max(1);
         let wide = at_once(count) * 4;
-        let bytes = 4 * (n * count.next_multiple_of(wide)) as u64;
         let mut work = device.work();
-        if !channels_fit(bytes, work.budget()) {
+        if !GpuChannels::fit(n, count, work.budget()) {
             return Ok(None);
         }
         let parts = parts_of(count)

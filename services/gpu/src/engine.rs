@@ -103,6 +103,10 @@ impl Rasterizer for GpuEngine {
         }))
     }
 
+    fn keeps_channels(&self, splats: usize, count: usize) -> bool {
+        GpuChannels::fit(splats, count, self.budget())
+    }
+
     fn upload_channels(
         &self,
         channels: &Channels,
@@ -199,6 +203,10 @@ impl Rasterizer for ResidentSplats<'_> {
         }
         check(splats, camera)?;
         self.engine.project_cloud(splats, self.cloud.clone(), camera, pose, options)
+    }
+
+    fn keeps_channels(&self, splats: usize, count: usize) -> bool {
+        self.engine.keeps_channels(splats, count)
     }
 
     fn upload_channels(

@@ -76,6 +76,11 @@ impl<F: Fn(&str) + Send + Sync> Rasterizer for FallbackEngine<F> {
         )
     }
 
+    fn keeps_channels(&self, splats: usize, count: usize) -> bool {
+        let engine = if self.has_failed() { &self.second } else { &self.first };
+        engine.keeps_channels(splats, count)
+    }
+
     fn upload_channels(
         &self,
         channels: &Channels,

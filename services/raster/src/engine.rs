@@ -145,6 +145,12 @@ pub trait Rasterizer: Send + Sync {
         Ok(None)
     }
 
+    /// Whether [`Rasterizer::upload_channels`] is expected to keep `count` channels of so many splats: they may first have to be
+    /// brought into the form that it takes.
+    fn keeps_channels(&self, _splats: usize, _count: usize) -> bool {
+        false
+    }
+
     /// Uploads channels, for [`ResidentChannels::upload`]. Returns a handle, opaque to others, that keeps them on the
     /// device until it is dropped; `None` where this rasteriser computes on the host, or where they would take too much memory.
     fn upload_channels(

@@ -18,18 +18,29 @@ const ROWS: usize = 512;
 /// Lanes of a dot product of rows: sums are formed per lane and added in one fixed order.
 const LANES: usize = 16;
 
-/// One feature vector per splat, ready for similarity queries. The numbers are rounded to 16 bits: beside the splats they are
-/// the largest array of a session.
+/// Share of the rows whose largest number is at most about [`LARGEST`] as it is kept (method, section 6.2). By choice: a row may be
+/// 32 times as large as these, and few are damaged. Not varied yet.
+const USUAL_ROWS: f64 = 0.999;
+
+/// Exponent of two of the largest number of the usual rows as it is kept: 16 bits have 11 significant ones from 2^-14 to 2^16.
+const LARGEST: i32 = 10;
+
+/// One feature vector per splat, ready for similarity queries. The numbers are rounded to 16 bits, in units of one power of two for
+/// the whole field: beside the splats they are the largest array of a session.
 pub struct SplatFeatures {
     channels: usize,
-    /// `[splat][channel]`, flat, as [`to_half`] gives them.
+    /// `[splat][channel]`, flat, as [`to_half`] gives them, in units of `unit`.
     halves: Vec<u16>,
+    /// A power of two.
+    unit: f32,
+    /// Of the rows as they are kept.
     inverse_norms: Vec<f32>,
     on_device: Option<Box<dyn Any + Send + Sync>>,
 }
 
 impl SplatFeatures {
-    /// Takes `values[splat][channel]`, flat. Rows that are zero or hold a NaN or a number beyond 65504 resemble nothing.
+    /// Takes `values[splat][channel]`, flat, in any unit. Rows that are zero, hold a NaN, or have a number more than 64 times as
+    /// large as 999 of 1000 rows have resemble nothing.
     pub fn new(channels: usize, values: Vec<f32>) -> Result<SplatFeatures, SegmentError> {
         if channels == 0 || !values.len().is_multiple_of(channels) {
             return Err(SegmentError::Shape(format!(
@@ -37,19 +48,25 @@ impl SplatFeatures {
                 values.len()
             )));
         }
-        let halves: Vec<u16> = values.par_iter().map(|&value| to_half(value)).collect();
+        let unit = unit_of(channels, &values);
+        let halves: Vec<u16> = values.par_iter().map(|&value| to_half(value / unit)).collect();
         let inverse_norms = halves
             .par_chunks(channels * ROWS)
             .flat_map_iter(|rows| {
                 rows.chunks_exact(channels).map(|row| inverse_norm(dot_rows(row, row, from_half)))
             })
             .collect();
-        Ok(SplatFeatures { channels, halves, inverse_norms, on_device: None })
+        Ok(SplatFeatures { channels, halves, unit, inverse_norms, on_device: None })
     }
 
     /// Uploads the values to an engine that keeps them on its device: similarities are then computed there.
     pub fn upload(&mut self, engine: &dyn Rasterizer) -> Result<(), SegmentError> {
-        let values = self.values();
+        self.on_device = None;
+        if !engine.keeps_channels(self.len(), self.channels) {
+            return Ok(());
+        }
+        // As they are kept: a cosine has no unit.
+        let values: Vec<f32> = self.halves.par_iter().map(|&half| from_half(half)).collect();
         let channels = Channels { count: self.channels, values: &values };
         self.on_device = engine.upload_channels(&channels).map_err(SegmentError::raster("the features"))?;
         Ok(())
@@ -77,12 +94,12 @@ impl SplatFeatures {
 
     /// The values as they were rounded, `[splat][channel]`, flat.
     pub fn values(&self) -> Vec<f32> {
-        self.halves.par_iter().map(|&half| from_half(half)).collect()
+        self.halves.par_iter().map(|&half| from_half(half) * self.unit).collect()
     }
 
     /// One splat's vector.
     pub fn row(&self, splat: usize) -> Vec<f32> {
-        self.halves_of(splat).iter().map(|&half| from_half(half)).collect()
+        self.halves_of(splat).iter().map(|&half| from_half(half) * self.unit).collect()
     }
 
     fn halves_of(&self, splat: usize) -> &[u16] {
@@ -172,6 +189,18 @@ impl SplatFeatures {
         );
         Ok(fused)
     }
+}
+
+/// The power of two in units of which the largest number of the usual rows is about 2^[`LARGEST`]; 1 where all rows are zero or no
+/// numbers. Quotients by it are exact, as far as 32 bits have them.
+fn unit_of(channels: usize, values: &[f32]) -> f32 {
+    let largest = |row: &[f32]| row.iter().fold(0.0f32, |largest, value| largest.max(value.abs()));
+    let mut rows: Vec<f32> =
+        values.par_chunks(channels).map(largest).filter(|row| row.is_finite() && *row > 0.0).collect();
+    let Some(last) = rows.len().checked_sub(1) else { return 1.0 };
+    let (_, usual, _) = rows.select_nth_unstable_by((last as f64 * USUAL_ROWS) as usize, f32::total_cmp);
+    let exponent = (usual.to_bits() >> 23) as i32 - 127;
+    f32::from_bits((((exponent - LARGEST).clamp(-126, 127) + 127) as u32) << 23)
 }
 
 /// Dot product of a row of 16-bit numbers and another row, whose numbers `read` gives. The order of additions is fixed.

@@ -55,6 +55,26 @@ fn features_are_kept_in_16_bits_and_cosines_are_those_of_the_rounded_numbers() {
 }
 
 #[test]
+fn the_unit_of_a_field_changes_nothing() {
+    let values: Vec<f32> = (0..60 * 16).map(|i| ((i * 7919 % 1013) as f32 - 500.0) * 1e-3).collect();
+    let of = |factor: f32| SplatFeatures::new(16, values.iter().map(|v| v * factor).collect()).unwrap();
+    let field = of(1.0);
+    for factor in [1e6, 1e-6, 1e15, 1e-15] {
+        let other = of(factor);
+        for splat in 0..other.len() {
+            let exact = values[16 * splat..].iter().map(|v| v * factor);
+            assert!(other.row(splat).iter().zip(exact).all(|(a, b)| (a - b).abs() <= b.abs() / 2000.0));
+            let (cosine, as_before) = (other.cosine(0, splat), field.cosine(0, splat));
+            assert!((cosine - as_before).abs() < 1e-3, "{factor}: {cosine} for {as_before}");
+        }
+        let click = [other.row(1)];
+        let similar = other.similarity(&CpuEngine::new(), &click, 0.1).unwrap();
+        let as_before = field.similarity(&CpuEngine::new(), &[field.row(1)], 0.1).unwrap();
+        assert!(similar.iter().zip(&as_before).all(|(a, b)| (a - b).abs() < 1e-3), "{factor}");
+    }
+}
+
+#[test]
 fn fused_similarity_is_at_least_the_mean_and_at_most_the_largest() {
     let field = SplatFeatures::new(2, vec![1.0, 0.0]).unwrap();
     let clicks = vec![vec![1.0, 0.0], vec![0.0, 1.0]];
