@@ -125,6 +125,7 @@ fn poses_code(error: &PosesError) -> u8 {
     match error {
         PosesError::Scene(SceneError::File(_))
         | PosesError::File(_)
+        | PosesError::GonePhotos { .. }
         | PosesError::Database { .. }
         | PosesError::Record { .. } => exit::FOLDER,
         PosesError::TooFew { .. }

@@ -63,8 +63,22 @@ impl ProgramRunner<'_> {
         arguments: &[String],
         line: impl FnMut(&str),
     ) -> Result<(), ProgramError> {
+        self.run_with(&[], program, arguments, line)
+    }
+
+    /// As [`ProgramRunner::run`], with more variables in the program's environment: names and values.
+    ///
+    /// # Errors
+    /// As [`ProgramRunner::run`].
+    pub fn run_with(
+        &self,
+        variables: &[(&str, String)],
+        program: &Path,
+        arguments: &[String],
+        line: impl FnMut(&str),
+    ) -> Result<(), ProgramError> {
         let name = named(program, arguments);
-        let (status, last) = self.status(program, arguments, line)?;
+        let (status, last) = self.status(variables, program, arguments, line)?;
         if status.success() {
             return Ok(());
         }
@@ -73,8 +87,9 @@ impl ProgramRunner<'_> {
     }
 
     /// As [`ProgramRunner::run`]; returns how it ended, and its last line that says something.
-    pub fn status(
+    fn status(
         &self,
+        variables: &[(&str, String)],
         program: &Path,
         arguments: &[String],
         mut line: impl FnMut(&str),
@@ -82,7 +97,7 @@ impl ProgramRunner<'_> {
         let name = named(program, arguments);
         let mut log = self.open_log()?;
         log.line(&format!("== {} {}", program.display(), arguments.join(" ")))?;
-        let (mut child, output) = start(program, arguments)
+        let (mut child, output) = start(variables, program, arguments)
             .map_err(|source| ProgramError::Start { program: name.clone(), source })?;
         let (sender, receiver) = sync_channel::<String>(LINES);
         let reader = std::thread::Builder::new().name("child output".into()).spawn(move || {
@@ -163,9 +178,14 @@ fn end(child: &mut Child) {
 }
 
 /// Starts a program whose output and errors come through one pipe, and which ends when this process does.
-fn start(program: &Path, arguments: &[String]) -> std::io::Result<(Child, std::io::PipeReader)> {
+fn start(
+    variables: &[(&str, String)],
+    program: &Path,
+    arguments: &[String],
+) -> std::io::Result<(Child, std::io::PipeReader)> {
     let (output, input) = std::io::pipe()?;
     let mut command = ending_with_parent(program);
+    command.envs(variables.iter().map(|(name, value)| (name, value)));
     command.args(arguments).stdin(Stdio::null()).stdout(input.try_clone()?).stderr(input);
     // Ctrl-C in the terminal is for this process, which ends the child itself.
     #[cfg(unix)]
@@ -238,6 +258,17 @@ mod tests {
         done.unwrap();
         assert_eq!(lines, ["one", "two", "20%", "last"]);
         assert!(log.starts_with("== /bin/sh -c") && log.ends_with("one\ntwo\n20%\nlast\n"), "{log}");
+    }
+
+    #[test]
+    fn a_program_has_the_variables_that_it_is_given() {
+        let (stopper, mut lines) = (Stopper::new(), Vec::new());
+        let programs = ProgramRunner { log: None, stopper: &stopper };
+        let arguments = ["-c".to_owned(), "echo $OMP_NUM_THREADS of $HOME".to_owned()];
+        let variables = [("OMP_NUM_THREADS", "3".to_owned()), ("HOME", "/here".to_owned())];
+        let line = |line: &str| lines.push(line.to_owned());
+        programs.run_with(&variables, Path::new("/bin/sh"), &arguments, line).unwrap();
+        assert_eq!(lines, ["3 of /here"]);
     }
 
     #[test]

@@ -24,7 +24,7 @@ impl Colmap {
         Colmap::of_help(program, &text)
     }
 
-    /// What its help tells.
+    /// Reads version, GPU and commands from its help.
     pub(crate) fn of_help(program: PathBuf, text: &str) -> Option<Colmap> {
         let version = text.lines().next()?.split(" -- ").next()?.trim().to_owned();
         let has_cuda = text.lines().take(3).any(|line| line.contains("with CUDA"));

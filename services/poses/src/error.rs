@@ -28,6 +28,20 @@ pub enum PosesError {
         /// The photos.
         path: PathBuf,
     },
+    /// GLOMAP would map photos that are gone.
+    #[error(
+        "{mapper} maps all photos that {path} holds, and {photos} of them are gone: remove that folder and run again, or run \
+         again with `--mapper colmap`",
+        path = path.display()
+    )]
+    GonePhotos {
+        /// GLOMAP, as it names itself.
+        mapper: String,
+        /// The folder of the poses.
+        path: PathBuf,
+        /// How many photos are gone.
+        photos: usize,
+    },
     /// The frames of a video cannot be taken without ffmpeg.
     #[error(
         "{path} is a video, and ffmpeg, which takes photos out of it, is not found on the PATH: install it (Debian, Ubuntu: \
@@ -94,6 +108,13 @@ pub enum PosesError {
     /// Stopped by the user.
     #[error("stopped; the same command goes on from here")]
     Stopped,
+}
+
+impl PosesError {
+    /// Whether another mapper may find poses all the same.
+    pub(crate) fn is_of_one_mapper(&self) -> bool {
+        matches!(self, PosesError::Program(_) | PosesError::Scene(_) | PosesError::GonePhotos { .. })
+    }
 }
 
 impl From<ProgramError> for PosesError {

@@ -197,19 +197,20 @@ impl Estimation<'_> {
         line: impl FnMut(&str, &mut StageProgress),
     ) -> Result<(), PosesError> {
         let program = self.colmap.program().to_owned();
-        self.child(&program, &command.arguments(), line)
+        self.child(&[], &program, &command.arguments(), line)
     }
 
-    /// Runs a program; `line` as for [`Estimation::colmap`].
+    /// Runs a program with more variables in its environment; `line` as for [`Estimation::colmap`].
     fn child(
         &mut self,
+        variables: &[(&str, String)],
         program: &Path,
         arguments: &[String],
         mut line: impl FnMut(&str, &mut StageProgress),
     ) -> Result<(), PosesError> {
         let (events, progress) = (self.events, &mut self.progress);
         let (mut lines, mut shown) = (0_u32, Instant::now());
-        self.programs.run(program, arguments, |text| {
+        self.programs.run_with(variables, program, arguments, |text| {
             lines += 1;
             // A bundle adjustment of many photos takes minutes in which no unit is done.
             if shown.elapsed() > SIGN_OF_LIFE {
@@ -352,7 +353,7 @@ impl Estimation<'_> {
         let mut models = match &glomap {
             None => Vec::new(),
             Some(glomap) => match self.mapped_at_once(glomap, photos) {
-                Err(PosesError::Program(error)) if may_fall_back => {
+                Err(error) if may_fall_back && error.is_of_one_mapper() => {
                     self.events.warn(Some(STAGE), error.to_string());
                     Vec::new()
                 }
@@ -384,27 +385,37 @@ impl Estimation<'_> {
     }
 
     /// The global mapper, where it computes the poses of these photos.
+    ///
+    /// # Errors
+    /// When the settings name it, and it cannot map these photos alone.
     fn global_mapper(&self, names: &[&str]) -> Result<Option<Glomap>, PosesError> {
         let chosen = self.glomap.clone().filter(|_| mapper::is_global(self.settings.mapper, names.len()));
         let Some(glomap) = chosen else { return Ok(None) };
-        if glomap.command()?.knows(mapper::LIST) {
-            return Ok(Some(glomap));
+        match self.maps_these_alone(&glomap, names) {
+            Err(error) if self.settings.mapper == PoseMapper::Auto && error.is_of_one_mapper() => {
+                self.events.warn(Some(STAGE), format!("COLMAP's mapper is used: {error}"));
+                Ok(None)
+            }
+            checked => checked.map(|()| Some(glomap)),
         }
-        // It maps what the database holds: photos of before would take part.
+    }
+
+    /// Checks that a global mapper maps these photos and no others: one that knows no list maps what the database holds, photos of
+    /// before among it.
+    fn maps_these_alone(&self, glomap: &Glomap, names: &[&str]) -> Result<(), PosesError> {
+        if glomap.command()?.knows(mapper::LIST) {
+            return Ok(());
+        }
         let names: BTreeSet<&str> = names.iter().copied().collect();
         let images = self.folder.images()?;
-        let gone = images.keys().filter(|name| !names.contains(name.as_str())).count();
-        if gone == 0 {
-            return Ok(Some(glomap));
+        match images.keys().filter(|name| !names.contains(name.as_str())).count() {
+            0 => Ok(()),
+            photos => Err(PosesError::GonePhotos {
+                mapper: glomap.version.clone(),
+                path: self.folder.path().to_owned(),
+                photos,
+            }),
         }
-        let words = format!(
-            "{} would map {gone} photos that are gone: COLMAP's mapper is used (for {} remove {} and run again)",
-            glomap.version,
-            glomap.version,
-            self.folder.path().display()
-        );
-        self.events.warn(Some(STAGE), words);
-        Ok(None)
     }
 
     /// The models of a global mapper, the largest first.
@@ -417,8 +428,10 @@ impl Estimation<'_> {
         self.progress.next_part(None);
         let (database, list, models) = (self.folder.database(), self.list(), self.empty_models()?);
         let files = MapperFiles { database: &database, photos: &photos.folder, list: &list, models: &models };
-        let arguments = files.at_once(glomap.command()?, self.limits.threads);
-        self.child(glomap.program(), &arguments, |_, _| {})?;
+        let command = glomap.command()?;
+        let variables = mapper::thread_variables(&command, self.limits.threads);
+        let arguments = files.at_once(command, self.limits.threads);
+        self.child(&variables, glomap.program(), &arguments, |_, _| {})?;
         let mut models = read_models(&models)?;
         models.retain(|model| model.size.photos >= LEAST_PHOTOS);
         Ok(models)
@@ -432,12 +445,14 @@ impl Estimation<'_> {
         remove(&self.folder.snapshots())?;
         let models = self.empty_models()?;
         self.say(format!("{} finds the poses of {} photos", self.colmap.version, photos.photos.len()));
-        let mapped = self.mapper(photos, &models, None);
-        let models = read_models(&models)?;
-        match mapped {
+        match self.mapper(photos, &models, None) {
             // COLMAP reports a failure where it made no model.
-            Err(PosesError::Program(ProgramError::Failed { .. })) if models.is_empty() => Ok(models),
-            mapped => mapped.map(|()| models),
+            Err(PosesError::Program(failed @ ProgramError::Failed { .. })) => match read_models(&models) {
+                Ok(none) if none.is_empty() => Ok(none),
+                _ => Err(PosesError::Program(failed)),
+            },
+            // A mapper that was stopped may have left a part of a model.
+            mapped => mapped.and_then(|()| read_models(&models)),
         }
     }
 
@@ -484,7 +499,7 @@ impl Estimation<'_> {
         let arguments = files.one_by_one(command, self.limits.threads, LEAST_PHOTOS, &snapshots, from);
         self.progress.next_part(Some(photos.photos.len() as u64));
         let program = self.colmap.program().to_owned();
-        self.child(&program, &arguments, |line, progress| {
+        self.child(&[], &program, &arguments, |line, progress| {
             if line.contains("Registering image #") {
                 let posed = numbers_in(line, '(', ')').first().copied().unwrap_or(0);
                 progress.advance(posed.saturating_sub(progress.done()));

@@ -104,7 +104,8 @@ impl MapperFiles<'_> {
         }
     }
 
-    /// A global mapper. Those that know no list and no threads take all photos of the database and all threads.
+    /// A global mapper. Those that know no list take all photos of the database; those that know no threads have them from
+    /// [`thread_variables`].
     pub fn at_once(&self, command: ColmapCommand, threads: usize) -> Vec<String> {
         let mut command = self.of(command);
         if command.knows(LIST) {
@@ -115,6 +116,12 @@ impl MapperFiles<'_> {
         }
         command.arguments()
     }
+}
+
+/// The variables by which a global mapper without an option for threads has them: its solvers are of OpenMP.
+pub(crate) fn thread_variables(command: &ColmapCommand, threads: usize) -> Vec<(&'static str, String)> {
+    let variables = || vec![("OMP_NUM_THREADS", threads.to_string())];
+    if command.knows(GLOBAL_THREADS) { Vec::new() } else { variables() }
 }
 
 /// Options that not every global mapper has.
@@ -151,9 +158,13 @@ mod tests {
         // `glomap mapper` of GLOMAP 1.
         let alone = files.at_once(ColmapCommand::with_help("mapper", common), 4);
         assert_eq!(alone, [&["mapper"][..], &paths[..]].concat());
+        let variables = thread_variables(&ColmapCommand::with_help("mapper", common), 4);
+        assert_eq!(variables, [("OMP_NUM_THREADS", "4".to_owned())]);
         // `colmap global_mapper` with a list and threads.
         let help = format!("{common}\n --image_list_path arg\n --GlobalMapper.num_threads arg (=-1)");
-        let within = files.at_once(ColmapCommand::with_help("global_mapper", help), 4);
+        let command = ColmapCommand::with_help("global_mapper", help);
+        assert!(thread_variables(&command, 4).is_empty());
+        let within = files.at_once(command, 4);
         let threads = ["--GlobalMapper.num_threads", "4"];
         assert_eq!(within, [&["global_mapper"][..], &paths[..], &list[..], &threads[..]].concat());
         // COLMAP 3.8.
