@@ -97,8 +97,8 @@ impl ClickRow {
     }
 }
 
-/// The page in Markdown; `images` says whether its images lie beside it.
-pub fn markdown(results: &Results, images: bool) -> String {
+/// The page in Markdown, with the images of which `is_there` returns true.
+fn markdown(results: &Results, is_there: &dyn Fn(&str) -> bool) -> String {
     let by = stamp::providers([results]);
     let boxes = results.records.iter().any(|r| r.setting == BOX);
     let (what, how) = match boxes {
@@ -171,7 +171,7 @@ pub fn markdown(results: &Results, images: bool) -> String {
         if let Some(mean) = ClickRow::mean(&rows) {
             let _ = writeln!(text, "| **mean** | {} objects | | {} |", rows.len(), mean.cells());
         }
-        text.push_str(&worst_prompts(&of_size, size, images));
+        text.push_str(&worst_prompts(&of_size, size, is_there));
     }
     text.push_str(&boundaries(&results.records));
     text.push_str(&reliability::section(&results.records));
@@ -181,8 +181,8 @@ pub fn markdown(results: &Results, images: bool) -> String {
     text
 }
 
-/// The worst prompt of each object of one size, and its image.
-fn worst_prompts(records: &[&Record], size: f64, images: bool) -> String {
+/// The worst prompt of each object of one size, and its image where it is there.
+fn worst_prompts(records: &[&Record], size: f64, is_there: &dyn Fn(&str) -> bool) -> String {
     let mut text = String::from(
         "\nThe worst prompt of each object:\n\n| scene | object | mean IoU | prompt |\n|---|---|---:|---|\n",
     );
@@ -192,11 +192,12 @@ fn worst_prompts(records: &[&Record], size: f64, images: bool) -> String {
         let prompt = r.notes.first().map_or("", String::as_str);
         let _ = writeln!(text, "| {} | {} | {iou:.3} | {prompt} |", r.scene, r.target);
     }
-    if images {
-        for r in &worst {
-            let image = image_of(&r.scene, &r.target, size);
-            let _ =
-                write!(text, "\n![{}, {}: true masks, each beside the answer]({image})\n", r.scene, r.target);
+    for r in &worst {
+        let image = image_of(&r.scene, &r.target, size);
+        if is_there(&image) {
+            let what = format!("{}, {}: true masks, each beside the answer", r.scene, r.target);
+            // A name may have spaces.
+            let _ = write!(text, "\n![{what}](<{image}>)\n");
         }
     }
     text
@@ -254,11 +255,11 @@ fn boundaries(records: &[Record]) -> String {
 /// When a file cannot be written.
 pub fn write(out: &Path, page: Option<&Path>, results: &Results) -> Result<PathBuf, PageError> {
     let file = out.join("clicks.md");
-    let put = |file: &Path, images| {
-        io(file, files::write_plain(file, markdown(results, images)).map_err(std::io::Error::other))
+    let put = |file: &Path, is_there: &dyn Fn(&str) -> bool| {
+        io(file, files::write_plain(file, markdown(results, is_there)).map_err(std::io::Error::other))
     };
-    put(&file, true)?;
-    page.map_or(Ok(()), |page| put(page, false))?;
+    put(&file, &|image: &str| out.join(image).is_file())?;
+    page.map_or(Ok(()), |page| put(page, &|_: &str| false))?;
     Ok(file)
 }
 
@@ -269,7 +270,7 @@ mod tests {
     #[test]
     fn the_page_gives_each_object_the_same_weight() {
         let record = |target: &str, prompt: u32, iou: f64| Record {
-            protocol: crate::random_clicks::PROTOCOL.into(),
+            protocol: "clicks".into(),
             scene: "square".into(),
             provider: "built-in".into(),
             at: Some(320.0),
@@ -290,7 +291,7 @@ mod tests {
         };
         let records =
             vec![record("a", 0, 1.0), record("a", 1, 0.8), record("a", 2, 0.9), record("b", 0, 0.1)];
-        let page = markdown(&Results { records, ..Results::default() }, true);
+        let page = markdown(&Results { records, ..Results::default() }, &|image: &str| image.contains("-a-"));
         assert!(
             page.contains(
                 "| square | a | 3 | 0.900 | 0.85 / 0.90 / 0.95 | 0.67 | 0.67 | 0.900 | 0.67 | 2.0 | 4.0 | 0.100 | 0.550 | 0.10 | 1.0 |"
@@ -302,9 +303,10 @@ mod tests {
         assert!(page.contains("Stray light is") && page.contains("than 2 % of the diagonal"), "{page}");
         assert!(page.contains("built-in"), "{page}");
         assert!(
-            page.contains("| square | a | 0.800 |") && page.contains("(worst-square-a-320.png)"),
+            page.contains("| square | a | 0.800 |") && page.contains("(<worst-square-a-320.png>)"),
             "{page}"
         );
+        assert!(!page.contains("worst-square-b"), "it is not there: {page}");
     }
 
     #[test]
@@ -338,7 +340,7 @@ mod tests {
         let numbers = [("iou".to_owned(), 0.5), ("select_s".to_owned(), 1.0), ("first_s".to_owned(), 0.1)];
         let record =
             Record { at: Some(320.0), target: "a".into(), numbers: numbers.into(), ..Record::default() };
-        let page = markdown(&Results { records: vec![record], ..Results::default() }, false);
+        let page = markdown(&Results { records: vec![record], ..Results::default() }, &|_: &str| false);
         assert!(page.contains("| - | - | - | - | - | - | 0.10 | 1.0 |\n"), "{page}");
         assert!(!page.contains("Stray light is") && !page.contains(".png"), "{page}");
     }
