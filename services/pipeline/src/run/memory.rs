@@ -281,15 +281,17 @@ pub(crate) fn fits_records(settings: &Settings, scene: &Scene) -> Result<(), Run
         }
     };
     let parameters = 11.0 + 3.0 * f64::from((degree + 1).pow(2)) + embedding;
-    let numbers = (parameters * copies).max(f64::from(settings.features.channels));
+    let (of_training, of_features) = (parameters * copies, f64::from(settings.features.channels));
+    let numbers = of_training.max(of_features);
     let (splats, most) = (most_splats(settings, scene), SIZE_LIMIT as f64);
     let bytes = 4.0 * numbers * splats as f64;
     if bytes <= most {
         return Ok(());
     }
+    let lower = if of_features > of_training { "--channels or --splats" } else { "--splats" };
     Err(RunError::Request(format!(
-        "{splats} splats take {:.0} MiB of one file of the run, which holds at most {:.0} MiB: lower --splats, or import \
-         fewer",
+        "{splats} splats take {:.0} MiB of one file of the run, which holds at most {:.0} MiB: lower {lower}, or \
+         import fewer",
         bytes / MIB,
         most / MIB
     )))
@@ -439,6 +441,12 @@ mod tests {
         for word in ["20000000 splats", "at most 8192 MiB", "--splats"] {
             assert!(refused.contains(word), "{refused}");
         }
+        assert!(!refused.contains("--channels"), "the training takes more: {refused}");
+        // A field of as many channels as there are takes more than the training.
+        settings.train.splats = 10_000_000;
+        settings.features.channels = 256;
+        let refused = fits_records(&settings, &scene).expect_err("too many").to_string();
+        assert!(refused.contains("--channels or --splats"), "{refused}");
     }
 
     #[test]
