@@ -313,6 +313,10 @@ impl Refiner for PhotoRefiner<'_> {
             self.prepared().insert(view, photo);
         }
     }
+
+    fn forget(&self, view: usize) {
+        self.prepared().remove(&view);
+    }
 }
 
 impl Actor for SegmentActor {

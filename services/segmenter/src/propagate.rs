@@ -166,7 +166,7 @@ fn first_round<'s>(
 ) -> Result<(FusionState, Vec<PhotoVisit>), SegmentError> {
     let mut open = OpenViews::of(request, fusion, &state, refiner)?;
     let mut visits: Vec<PhotoVisit> = Vec::new();
-    // Photos that are being prepared, or are prepared and were not visited yet; and whether they are.
+    // Photos that are being prepared, or are prepared and will be visited; and whether they are prepared.
     let mut ahead: Vec<(usize, Arc<AtomicBool>)> = Vec::new();
     while visits.len() < open.most() {
         request.wanted()?;
@@ -174,9 +174,16 @@ fn first_round<'s>(
         if open.is_due(visits.len(), order.is_empty()) {
             let visited: Vec<usize> = visits.iter().map(|visit| visit.view).collect();
             open.select(fusion, &state, &visited)?;
-            ahead.retain(|(view, _)| open.contains(*view));
             order = most_known(fusion, &state, open.views());
         }
+        // A photo that is no longer open counts until it is prepared, and is then forgotten.
+        ahead.retain(|(view, done)| {
+            let stays = open.contains(*view) || !done.load(Ordering::Acquire);
+            if !stays {
+                refiner.forget(*view);
+            }
+            stays
+        });
         let Some((&next, likely)) = order.split_first() else {
             // No open view shows a decided part of the object.
             break;

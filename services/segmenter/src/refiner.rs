@@ -15,6 +15,8 @@ pub trait Refiner: Sync {
     /// Called on another thread when a view is likely to be refined soon, so that work can be done ahead. No answer
     /// may depend on it.
     fn prepare(&self, _view: usize) {}
+    /// Called when a view that was prepared will not be refined soon after all: what was done ahead may be dropped.
+    fn forget(&self, _view: usize) {}
 }
 
 impl<F: Fn(usize, &Image) -> Option<(Mask, f32)> + Sync> Refiner for F {
