@@ -161,7 +161,7 @@ fn photos_of_the_next_hall_do_not_take_the_turn_of_those_that_show_the_object() 
     let (selection, _) = scene.select(SETTING, None);
     let visited: Vec<usize> = selection.visits.iter().map(|visit| visit.view).collect();
     assert!(visited.iter().all(|photo| *photo > OF_A_HALL), "{visited:?} are not all of the statue's hall");
-    // From the wall's side there are 40 photos of the next hall for each of this one.
+    // From the wall's side there are 200 photos of the next hall, and six of this one.
     let from_the_wall: Vec<usize> =
         visited.iter().copied().filter(|photo| (150.0..210.0).contains(&degrees(*photo))).collect();
     assert!(from_the_wall.len() >= 2, "{from_the_wall:?} of {visited:?}");
