@@ -4,6 +4,7 @@ use crate::document::ObjectId;
 use crate::farm::{FarmRetryError, SeenFarm};
 use crate::messages::{RunEntry, StateMessage, StudioAction, TrainingMessage};
 use crate::runs::{Found, ServedRuns};
+use crate::studio::PhotoSearch;
 use crate::{Studio, StudioError};
 use futures_util::StreamExt;
 use futures_util::stream::{self, BoxStream};
@@ -13,6 +14,7 @@ use segwild_monitor::{MonitorTarget, MonitorView};
 use segwild_pipeline::{PackedSplats, RunError};
 use std::path::Path;
 use std::sync::{Arc, Weak};
+use std::time::Duration;
 use tokio::sync::watch;
 
 /// The runs of a server, as requests share them.
@@ -29,6 +31,9 @@ pub(crate) const PNG: &str = "image/png";
 
 /// Media type of packed numbers and of files to be saved.
 pub(crate) const OCTETS: &str = "application/octet-stream";
+
+/// Time between two checks whether an answer is still being made.
+const BUSY: Duration = Duration::from_millis(20);
 
 /// What kind of refusal it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -193,6 +198,33 @@ pub(crate) async fn act(runs: &Runs, run: &str, action: StudioAction) -> Answere
         Ok(studio.message())
     })
     .await
+}
+
+/// Pixels of each photo that show an object. Which splats the photos show is found out once for a run, photo by photo: one request at
+/// a time does it, so that threads stay free for others, and a request whose client is gone ends at the next photo. What is known by
+/// then stays known.
+pub(crate) async fn photos_of(runs: &Runs, run: &str, object: ObjectId) -> Answered<Vec<usize>> {
+    let studio = session(runs, run)?;
+    let (turn, weak) = (studio.photos_turn(), Arc::downgrade(&studio));
+    let selected = apart(move || Ok(studio.shown_by_photos(object)?)).await?;
+    // A session is not held by who waits: it can be put away meanwhile.
+    let open = || weak.upgrade().ok_or_else(closed);
+    let own = turn.lock_owned().await;
+    loop {
+        let studio = open()?;
+        match apart(move || Ok(studio.find_next_splats()?)).await? {
+            PhotoSearch::Over => break,
+            PhotoSearch::GoesOn => {}
+            PhotoSearch::Waits => tokio::time::sleep(BUSY).await,
+        }
+    }
+    drop(own);
+    let studio = open()?;
+    apart(move || Ok(studio.pixels_of(&selected)?)).await
+}
+
+fn closed() -> Refusal {
+    Refusal::Because(RefusalKind::Conflict, "the scene was replaced meanwhile: request it again".into())
 }
 
 /// Continues the training without corrected transients.

@@ -46,6 +46,7 @@ mod guard;
 pub mod messages;
 mod openapi;
 mod page;
+mod photo_splats;
 mod rates;
 mod regions;
 mod routes;

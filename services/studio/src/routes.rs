@@ -314,7 +314,7 @@ async fn photos_of(
     Path((run, object)): Path<(String, String)>,
 ) -> Answered<Response> {
     let object = number(&object)?;
-    Ok(Json(answered(&runs, &run, move |studio| studio.photos_of(object)).await?).into_response())
+    Ok(Json(calls::photos_of(&runs, &run, object).await?).into_response())
 }
 
 async fn transients(

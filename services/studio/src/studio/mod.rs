@@ -12,7 +12,7 @@ mod transients;
 mod turns;
 mod writes;
 
-pub(crate) use show::{JPEG_QUALITY, three_planes};
+pub(crate) use show::{JPEG_QUALITY, PhotoSearch, three_planes};
 pub use state::{ANSWER_COLOUR, COLOURS, Studio, StudioError};
 
 use crate::document::{Journal, JournalEntry};
@@ -21,6 +21,7 @@ use crate::messages::{
     AnswerMessage, AppearanceMessage, DraftMessage, ListedDescription, ObjectMessage, PhotoDescription,
     RunDescription, ShownPrompts, StateMessage,
 };
+use crate::photo_splats::PhotoSplats;
 use crate::store::SelectionStore;
 use segwild_flow::{Stopper, lock};
 use segwild_pipeline::{
@@ -100,6 +101,7 @@ impl Studio {
             state: Mutex::new(state),
             changes: watch::Sender::new(1),
             fronts: FrontMaps::default(),
+            photo_splats: PhotoSplats::default(),
             graph: OnceLock::new(),
             shown: Mutex::new(Vec::new()),
             kept: Mutex::default(),
@@ -130,7 +132,7 @@ impl Studio {
         // Who changes the state may take long: nobody waits for the size of the present answer.
         let present = self.state.try_lock().ok().and_then(|state| state.answer.done.clone());
         let answers = lock(&self.kept).bytes_with(present.as_ref());
-        self.session.bytes() + self.fronts.bytes() + shown + answers
+        self.session.bytes() + self.fronts.bytes() + self.photo_splats.bytes() + shown + answers
     }
 
     /// The step of the training that the scene is of; `None` where the training is over.

@@ -7,7 +7,7 @@ use crate::messages::{
     ANSWER_LABEL, ANSWER_OBJECT, FrameRequest, HIDDEN_LABEL, LabelMap, PickRequest, PickedPixel,
 };
 use segwild_flow::lock;
-use segwild_pipeline::{BlendedAppearance, PackedSplats, ShownParts, ShownScene};
+use segwild_pipeline::{BlendedAppearance, PackedSplats, RunError, Selected, ShownParts, ShownScene};
 use segwild_scene::{Camera, Image, Mask, NEAR, View};
 use std::sync::Arc;
 
@@ -16,6 +16,17 @@ pub(crate) const JPEG_QUALITY: u8 = 88;
 
 /// Photos that are tried for what a pixel of the 3D view shows.
 const TRIED_PHOTOS: usize = 8;
+
+/// How far it is to find out which splats all photos show.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum PhotoSearch {
+    /// All photos are known.
+    Over,
+    /// One more is known.
+    GoesOn,
+    /// An answer comes first.
+    Waits,
+}
 
 /// Relative depth by which a point may lie behind what a photo shows there.
 const SAME_DEPTH: f32 = 0.03;
@@ -59,22 +70,47 @@ impl Studio {
         (labels, state.revision)
     }
 
-    /// Pixels of each photo that show an object, or the answer ([`ANSWER_OBJECT`]). Photos on which a person could
-    /// not see it have few or none.
+    /// Pixels of each photo that show an object, or the answer ([`ANSWER_OBJECT`]), at working size; counted in small renders. Photos
+    /// on which a person could not see it have few or none.
     ///
     /// # Errors
     /// When there is no such object or no answer yet, or the scene cannot be rendered.
     pub fn photos_of(&self, id: ObjectId) -> Result<Vec<usize>, StudioError> {
-        let selected = match id {
+        let selected = self.shown_by_photos(id)?;
+        self.pixels_of(&selected)
+    }
+
+    /// The splats of an object, or of the answer, to be counted by [`Studio::pixels_of`].
+    pub(crate) fn shown_by_photos(&self, id: ObjectId) -> Result<Arc<Selected>, StudioError> {
+        Ok(match id {
             ANSWER_OBJECT => self.state().answer.selected.clone().ok_or(DocumentError::NoAnswer)?,
             id => self.selection_of(id)?,
-        };
-        let count = |photo: usize| {
-            let front = self.fronts.of(&self.session, photo)?;
-            let inside = |splat: &&u32| selected.labels.get(**splat as usize).copied().unwrap_or(false);
-            Ok(front.splats.iter().filter(inside).count())
-        };
-        (0..self.session.scene().views.len()).map(count).collect()
+        })
+    }
+
+    /// Pixels of each photo that show selected splats.
+    pub(crate) fn pixels_of(&self, selected: &Selected) -> Result<Vec<usize>, StudioError> {
+        let pixels = |photo| self.photo_splats.pixels(&self.session, photo, &selected.labels);
+        Ok((0..self.session.scene().views.len()).map(pixels).collect::<Result<_, RunError>>()?)
+    }
+
+    /// The turn to find out which splats the photos show.
+    pub(crate) fn photos_turn(&self) -> Arc<tokio::sync::Mutex<()>> {
+        self.photo_splats.turn()
+    }
+
+    /// Finds out which splats one more photo shows, unless an answer is being made, which comes first.
+    ///
+    /// # Errors
+    /// When the scene cannot be rendered.
+    pub(crate) fn find_next_splats(&self) -> Result<PhotoSearch, StudioError> {
+        let next = (0..self.session.scene().views.len()).find(|photo| !self.photo_splats.knows(*photo));
+        let Some(photo) = next else { return Ok(PhotoSearch::Over) };
+        if self.state().answer.message.state == "working" {
+            return Ok(PhotoSearch::Waits);
+        }
+        self.photo_splats.pixels(&self.session, photo, &[])?;
+        Ok(PhotoSearch::GoesOn)
     }
 
     /// A photo as JPEG, with a long side of at most `size` pixels.

@@ -6,6 +6,7 @@ use super::writes::WriteQueue;
 use crate::document::{Document, DocumentError, Journal, JournalError};
 use crate::fronts::FrontMaps;
 use crate::messages::AnswerMessage;
+use crate::photo_splats::PhotoSplats;
 use crate::store::SelectionStore;
 use segwild_flow::{FileError, Stopper, lock};
 use segwild_pipeline::{Answer, ObjectList, RunError, Selected, Session, ShownScene};
@@ -79,6 +80,7 @@ pub struct Studio {
     pub(super) state: Mutex<StudioState>,
     pub(super) changes: watch::Sender<u64>,
     pub(super) fronts: FrontMaps,
+    pub(super) photo_splats: PhotoSplats,
     pub(super) graph: OnceLock<NeighbourGraph>,
     pub(super) shown: Mutex<Vec<CachedScene>>,
     pub(super) kept: Mutex<KeptAnswers>,
