@@ -3,11 +3,18 @@
 use segwild_flow::lock;
 use segwild_pipeline::{RunError, Session};
 use segwild_raster::{FrontLayer, NO_SPLAT};
-use std::collections::HashMap;
+use segwild_scene::{Camera, Pose};
+use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex};
 
 /// Bytes of maps in memory at most.
 const MOST_BYTES: usize = 256 << 20;
+
+/// Long side in pixels of the maps of views: an outline that follows a pointer needs no more.
+const VIEW_SIDE: u32 = 256;
+
+/// Views whose maps are in memory at most: a few viewers who move their pointers, each over one view.
+const MOST_VIEWS: usize = 8;
 
 /// Accumulated alpha under which a pixel shows no splat.
 const SHOWS: f32 = 0.5;
@@ -55,10 +62,18 @@ impl FrontMap {
     }
 }
 
-/// The maps of a session's photos.
+/// A view and its map.
+struct ViewFront {
+    camera: Camera,
+    pose: Pose,
+    map: Arc<FrontMap>,
+}
+
+/// The maps of a session's photos, and of the views that pointers were over last.
 #[derive(Default)]
 pub struct FrontMaps {
     maps: Mutex<HashMap<usize, (Arc<FrontMap>, u64)>>,
+    views: Mutex<VecDeque<ViewFront>>,
 }
 
 impl FrontMaps {
@@ -82,10 +97,34 @@ impl FrontMaps {
         Ok(map)
     }
 
+    /// The map of a view, small; rendered if it is not there.
+    ///
+    /// # Errors
+    /// When the scene cannot be rendered.
+    pub fn of_view(
+        &self,
+        session: &Session,
+        camera: &Camera,
+        pose: &Pose,
+    ) -> Result<Arc<FrontMap>, RunError> {
+        let same = |view: &&ViewFront| (view.camera, view.pose) == (*camera, *pose);
+        if let Some(view) = lock(&self.views).iter().find(same) {
+            return Ok(view.map.clone());
+        }
+        let map = Arc::new(FrontMap::from(session.front_from(&camera.scaled_to(VIEW_SIDE), pose)?));
+        let mut views = lock(&self.views);
+        views.push_back(ViewFront { camera: *camera, pose: *pose, map: map.clone() });
+        if views.len() > MOST_VIEWS {
+            views.pop_front();
+        }
+        Ok(map)
+    }
+
     /// Bytes of all maps.
     pub fn bytes(&self) -> usize {
-        let maps = lock(&self.maps);
-        maps.values().map(|(map, _)| 4 * map.splats.len()).sum()
+        let of = |map: &FrontMap| 4 * map.splats.len();
+        let photos: usize = lock(&self.maps).values().map(|(map, _)| of(map)).sum();
+        photos + lock(&self.views).iter().map(|view| of(&view.map)).sum::<usize>()
     }
 
     fn known(&self, view: usize) -> Option<Arc<FrontMap>> {

@@ -281,10 +281,11 @@ impl ViewMessage {
     }
 }
 
-/// A request for the candidate at a position.
-#[derive(Clone, Debug, Deserialize)]
+/// A request for the candidate at a position of a photo, or of a view of the scene.
+#[derive(Clone, Debug, Default, Deserialize)]
 pub struct HoverRequest {
-    /// Index of the photo.
+    /// Index of the photo; of no account where there is a view.
+    #[serde(default)]
     pub photo: usize,
     /// Position, x.
     pub x: f32,
@@ -293,6 +294,9 @@ pub struct HoverRequest {
     /// As in [`Prompts::granularity`].
     #[serde(default)]
     pub granularity: Option<f32>,
+    /// The view in whose pixels the position is, and the candidate is wanted; `null` for the photo.
+    #[serde(default)]
+    pub view: Option<ViewMessage>,
 }
 
 /// Labels of a photo's pixels.

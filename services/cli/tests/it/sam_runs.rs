@@ -76,7 +76,7 @@ fn hovering_encodes_the_photo(run: &Path, models: &Path, photo: &str, [x, y]: [f
     let photo = session.scene().view_named(photo).expect("a photo of the run");
     let is_encoded = || session.is_prepared(photo).expect("it is read");
     assert!(session.finds_objects() && session.tree().is_some() && !is_encoded());
-    studio.hover(&HoverRequest { photo, x, y, granularity: None }).expect("it answers");
+    studio.hover(&HoverRequest { photo, x, y, ..HoverRequest::default() }).expect("it answers");
     let began = Instant::now();
     while !is_encoded() {
         assert!(began.elapsed() < Duration::from_secs(60), "the photo is never encoded");

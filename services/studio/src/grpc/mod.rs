@@ -161,7 +161,7 @@ impl Session for SessionService {
     }
 
     async fn hover(&self, request: Request<v1::HoverRequest>) -> Reply<v1::HoverResponse> {
-        let at = requests::hover(request.get_ref());
+        let at = requests::hover(request.get_ref())?;
         let found = answered(&self.runs, &request.get_ref().run, move |studio| studio.hover(&at)).await?;
         reply(v1::HoverResponse { candidate: found.map(replies::labels) })
     }
@@ -222,7 +222,7 @@ impl Session for SessionService {
 
     async fn object_photos(&self, request: Request<v1::ObjectRequest>) -> Reply<v1::ObjectPhotosResponse> {
         let v1::ObjectRequest { run, object } = request.into_inner();
-        let found = answered(&self.runs, &run, move |studio| studio.photos_of(object)).await?;
+        let found = calls::photos_of(&self.runs, &run, object).await?;
         reply(v1::ObjectPhotosResponse { pixels: found.into_iter().map(|pixels| pixels as u64).collect() })
     }
 

@@ -123,9 +123,11 @@ pub(super) fn action(what: Option<Do>) -> Parsed<StudioAction> {
 }
 
 /// A request for the candidate at a position.
-pub(super) fn hover(request: &v1::HoverRequest) -> HoverRequest {
-    let v1::HoverRequest { run: _, photo, x, y, granularity } = *request;
-    HoverRequest { photo: photo as usize, x, y, granularity }
+pub(super) fn hover(request: &v1::HoverRequest) -> Parsed<HoverRequest> {
+    let v1::HoverRequest { run: _, photo, x, y, granularity, view: seen } = request;
+    let of_scene = |seen: &v1::ViewMessage| view(seen.camera, &seen.rotation, &seen.translation);
+    let view = seen.as_ref().map(of_scene).transpose()?;
+    Ok(HoverRequest { photo: *photo as usize, x: *x, y: *y, granularity: *granularity, view })
 }
 
 /// A request for the photo that shows best what a pixel of a view shows.

@@ -3,10 +3,11 @@
 use super::show::label_map;
 use super::state::{Studio, StudioError};
 use super::turns::IN_TIME;
-use crate::messages::{ANSWER_LABEL, HoverRequest, LabelMap};
+use crate::fronts::FrontMap;
+use crate::messages::{ANSWER_LABEL, HoverRequest, LabelMap, ViewMessage};
 use segwild_flow::lock;
 use segwild_scene::{Mask, PointPrompt, Prompts};
-use segwild_segmenter::scene_tree::NONE;
+use segwild_segmenter::scene_tree::{NONE, SceneTree};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
@@ -51,12 +52,16 @@ impl Drop for Preparation {
 
 impl Studio {
     /// The candidate at a position of a photo, without a click; `None` where there is none. It is the mask of a provider that finds
-    /// objects, as that of a click would be, where the provider has it in time; otherwise the group of the scene tree.
+    /// objects, as that of a click would be, where the provider has it in time; otherwise the group of the scene tree. In a view of the
+    /// scene it is always the group.
     ///
     /// # Errors
-    /// When the photo cannot be read or rendered.
+    /// When the photo cannot be read, the camera of the view is none, or the scene cannot be rendered.
     pub fn hover(self: &Arc<Self>, request: &HoverRequest) -> Result<Option<LabelMap>, StudioError> {
-        let HoverRequest { photo, x, y, granularity } = *request;
+        let HoverRequest { photo, x, y, granularity, ref view } = *request;
+        if let Some(view) = view {
+            return self.hover_view(view, [x, y], granularity);
+        }
         self.check_photo(photo)?;
         let camera = &self.session.scene().views[photo].camera;
         let share = [x / camera.width as f32, y / camera.height as f32];
@@ -77,18 +82,46 @@ impl Studio {
         }
         self.prepare(photo);
         let front = self.fronts.of(&self.session, photo)?;
-        let leaf =
-            front.at(share[0], share[1]).map(|splat| tree.leaf[splat as usize]).filter(|leaf| *leaf != NONE);
-        let Some(leaf) = leaf else { return Ok(None) };
+        Ok(self.group_at(tree, &front, share, granularity))
+    }
+
+    /// The candidate at a pixel of a view of the scene; `None` where there is none.
+    fn hover_view(
+        &self,
+        view: &ViewMessage,
+        at: [f32; 2],
+        granularity: Option<f32>,
+    ) -> Result<Option<LabelMap>, StudioError> {
+        let (camera, pose) = view.view().map_err(StudioError::Request)?;
+        let Some(tree) = self.session.tree() else { return Ok(None) };
+        if !camera.contains(at.into()) || granularity.is_some_and(|g| !(0.0..=1.0).contains(&g)) {
+            return Ok(None);
+        }
+        let front = self.fronts.of_view(&self.session, &camera, &pose)?;
+        let share = [at[0] / camera.width as f32, at[1] / camera.height as f32];
+        Ok(self.group_at(tree, &front, share, granularity))
+    }
+
+    /// The group of the scene tree at a position, in shares of width and height.
+    fn group_at(
+        &self,
+        tree: &SceneTree,
+        front: &FrontMap,
+        share: [f32; 2],
+        granularity: Option<f32>,
+    ) -> Option<LabelMap> {
+        let leaf = tree.leaf[front.at(share[0], share[1])? as usize];
+        if leaf == NONE {
+            return None;
+        }
         let boundaries = self.settings.tree_boundaries;
         let found = match granularity {
             Some(granularity) => tree.candidates_of_size(leaf, granularity, boundaries),
             None => tree.candidates(leaf, boundaries),
         };
-        let Some(first) = found.first() else { return Ok(None) };
-        let labels = tree.labels(first);
+        let labels = tree.labels(found.first()?);
         let runs = front.runs(|splat| if labels[splat as usize] { ANSWER_LABEL } else { 0 });
-        Ok(Some(LabelMap { width: front.width, height: front.height, runs, revision: 0 }))
+        Some(LabelMap { width: front.width, height: front.height, runs, revision: 0 })
     }
 
     /// Lets a provider that finds no objects by itself analyse the photo under the pointer: a click in it needs that.

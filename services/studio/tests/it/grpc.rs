@@ -113,7 +113,7 @@ fn a_program_clicks_keeps_and_exports_by_grpc() {
         let requested = &done.draft.unwrap().prompts[0];
         assert!(requested.photo == photo && (requested.points[0].x - x).abs() < 0.01, "{requested:?}");
 
-        let hover = v1::HoverRequest { run: name.clone(), photo, x, y, granularity: None };
+        let hover = v1::HoverRequest { run: name.clone(), photo, x, y, ..Default::default() };
         let candidate = client.hover(hover).await.unwrap().into_inner().candidate.expect("a candidate");
         assert!(candidate.runs.chunks(2).any(|run| run[0] == 255));
         let keep = Do::Keep(act_request::Keep { name: Some("statue".into()) });

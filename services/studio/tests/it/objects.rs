@@ -37,7 +37,7 @@ fn an_object_of_the_page_is_that_of_the_command_line_byte_for_byte() {
     let (photo, [x, y]) = trained().clicks[0].clone();
     // What is prepared under the pointer changes no answer.
     let at = studio.session().scene().view_named(&photo).unwrap();
-    assert!(studio.hover(&HoverRequest { photo: at, x, y, granularity: None }).unwrap().is_some());
+    assert!(studio.hover(&HoverRequest { photo: at, x, y, ..HoverRequest::default() }).unwrap().is_some());
     keep(&studio, 0, "first").unwrap();
     let prompts = [PhotoPrompts { photo, prompts: Prompts::click(x, y) }];
     let settings = folder.settings().unwrap().segment;
@@ -221,7 +221,7 @@ fn hovering_shows_what_a_click_would_ask_for_and_a_level_changes_its_size() {
     let (photo, [x, y]) = trained().clicks[0].clone();
     let photo = studio.session().scene().view_named(&photo).unwrap();
     let covered = |granularity| {
-        let map = studio.hover(&HoverRequest { photo, x, y, granularity }).unwrap().unwrap();
+        let map = studio.hover(&HoverRequest { photo, x, y, granularity, view: None }).unwrap().unwrap();
         let runs = map.runs.chunks_exact(2);
         assert_eq!(runs.clone().map(|run| run[1] as usize).sum::<usize>(), map.width * map.height);
         runs.filter(|run| run[0] == u32::from(ANSWER_LABEL)).map(|run| run[1]).sum::<u32>()
@@ -229,9 +229,19 @@ fn hovering_shows_what_a_click_would_ask_for_and_a_level_changes_its_size() {
     assert!(covered(None) > 0);
     assert!(covered(Some(0.0)) <= covered(Some(1.0)));
     for (x, y) in [(-1.0, 5.0), (1e9, 5.0), (f32::NAN, 5.0)] {
-        assert_eq!(studio.hover(&HoverRequest { photo, x, y, granularity: None }).unwrap(), None);
+        assert_eq!(studio.hover(&HoverRequest { photo, x, y, ..HoverRequest::default() }).unwrap(), None);
     }
-    assert!(studio.hover(&HoverRequest { photo: 999, x, y, granularity: None }).is_err());
+    assert!(studio.hover(&HoverRequest { photo: 999, x, y, ..HoverRequest::default() }).is_err());
+    // In the view of the photo's own camera it is the same, whichever photo is named.
+    let in_view = |view: ViewMessage, x: f32| {
+        studio.hover(&HoverRequest { photo: 999, x, y, granularity: None, view: Some(view) })
+    };
+    let in_photo = studio.hover(&HoverRequest { photo, x, y, ..HoverRequest::default() }).unwrap();
+    assert_eq!(in_view(view(&studio, photo), x).unwrap(), in_photo);
+    assert_eq!(in_view(view(&studio, photo), f32::NAN).unwrap(), None);
+    let mut odd = view(&studio, photo);
+    odd.rotation = [1.0; 9];
+    assert!(in_view(odd, x).is_err());
 }
 
 #[test]
@@ -287,6 +297,10 @@ fn hidden_and_isolated_objects_show_in_frames_and_labels() {
     assert!(frame(false) != plain);
     let counts = studio.photos_of(1).unwrap();
     assert_eq!(counts.len(), studio.describe().photos.len());
+    // Photos this small are counted as they are.
+    let map = studio.labels(0).unwrap();
+    let shown = map.runs.chunks_exact(2).filter(|run| run[0] == 1).map(|run| run[1] as usize);
+    assert_eq!(counts[0], shown.sum::<usize>());
     assert!(counts.iter().sum::<usize>() > 0);
     // The answer's photos are those of the object that it becomes.
     let error = studio.photos_of(ANSWER_OBJECT).unwrap_err().to_string();

@@ -119,7 +119,7 @@ fn what_is_answered_is_what_the_document_describes() {
     check(&page, "LabelMap", &studio.labels(0).unwrap());
     let (photo, [x, y]) = trained().clicks[0].clone();
     let photo = studio.session().scene().view_named(&photo).unwrap();
-    let candidate = studio.hover(&HoverRequest { photo, x, y, granularity: None }).unwrap();
+    let candidate = studio.hover(&HoverRequest { photo, x, y, ..HoverRequest::default() }).unwrap();
     check(&page, "LabelMap", &candidate.expect("a candidate"));
     let seen = &studio.describe().photos[photo];
     let view = ViewMessage { camera: seen.camera, rotation: seen.rotation, translation: seen.translation };
@@ -216,7 +216,7 @@ fn what_is_requested_is_what_the_document_describes() {
     pick["at"] = json!([1.0, 2.0]);
     assert!(serde_json::from_value::<PickRequest>(pick.clone()).is_ok());
     check(&page, "PickRequest", &pick);
-    let hover = json!({ "photo": 0, "x": 1.0, "y": 2.0, "granularity": 0.5 });
+    let hover = json!({ "photo": 0, "x": 1.0, "y": 2.0, "granularity": 0.5, "view": view });
     assert!(serde_json::from_value::<HoverRequest>(hover.clone()).is_ok());
     check(&page, "HoverRequest", &hover);
 }
