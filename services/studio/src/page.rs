@@ -29,6 +29,7 @@ const FILES: &[PageFile] = files! {
     "main.js": SCRIPT,
     "api.js": SCRIPT,
     "budget.js": SCRIPT,
+    "cursor.js": SCRIPT,
     "farm.js": SCRIPT,
     "geometry.js": SCRIPT,
     "objects.js": SCRIPT,

@@ -76,9 +76,9 @@ export async function send(path, options = {}) {
   }
 }
 
-/** @param {string} path */
-export async function getJson(path) {
-  return (await send(path)).json();
+/** @param {string} path @param {AbortSignal} [signal] */
+export async function getJson(path, signal) {
+  return (await send(path, { signal })).json();
 }
 
 /** Shows an image; one that does not come is requested again a few times. @param {HTMLImageElement} image @param {string} path */
@@ -127,7 +127,7 @@ export class Run {
     return (await this.post("act", action)).json();
   }
 
-  /** @param {{photo: number, x: number, y: number, granularity: number | null}} at @param {AbortSignal} signal @returns {Promise<LabelMap | null>} */
+  /** @param {{photo: number, x: number, y: number, granularity: number | null, view?: View}} at @param {AbortSignal} signal @returns {Promise<LabelMap | null>} */
   async hover(at, signal) {
     return (await this.post("hover", at, signal)).json();
   }
@@ -147,9 +147,9 @@ export class Run {
     return getJson(`${this.base}/photos/${photo}/labels`);
   }
 
-  /** @param {number} id @returns {Promise<number[]>} */
-  photosOf(id) {
-    return getJson(`${this.base}/objects/${id}/photos`);
+  /** @param {number} id @param {AbortSignal} signal @returns {Promise<number[]>} */
+  photosOf(id, signal) {
+    return getJson(`${this.base}/objects/${id}/photos`, signal);
   }
 
   /** @param {number} photo @param {number} size */

@@ -1,6 +1,7 @@
 // The page: one state from the server, shown by the panes; what a person does goes back as actions.
 
 import { Refused, Run, getJson } from "./api.js";
+import { FINE, STEP } from "./cursor.js";
 import { centreOf, cross, dot, scaled, subtract, unit } from "./geometry.js";
 import { Side, element } from "./objects.js";
 import { ANSWER, bounds, decode, nearest } from "./overlay.js";
@@ -53,6 +54,8 @@ export class App {
     this.first = {};
     /** Pixels of objects by photo, by object and selection. @type {Map<string, Promise<number[]>>} */
     this.counts = new Map();
+    /** Ends their requests with the run. */
+    this.counting = new AbortController();
     this.photoPane = new PhotoPane(this);
     this.strip = new Strip(this);
     this.scenePane = new ScenePane(this);
@@ -128,6 +131,8 @@ export class App {
     this.photo = same ?? Math.max(0, this.description.photos.findIndex(photo => !photo.held_out));
     this.item = null;
     this.counts.clear();
+    this.counting.abort();
+    this.counting = new AbortController();
     this.scenePane.drawer = null;
     this.scenePane.forget();
     this.strip.shownFor = "";
@@ -182,6 +187,7 @@ export class App {
     this.side.update();
     this.side.undo();
     this.photoPane.update();
+    if (this.photoPane.requests) this.scenePane.clearCandidate();
     this.strip.update();
     if (moved) this.scenePane.redraw(true);
     of("train").hidden = !state.corrected.length;
@@ -250,8 +256,13 @@ export class App {
       button.setAttribute("aria-pressed", String(button.dataset.tool === tool));
     }
     of("rule").hidden = tool === "prompt" || tool === "sphere";
-    this.photoPane.clearCandidate();
-    if (tool !== "prompt" && this.item === null && !this.transients) this.say(text("region_new"));
+    if (!this.description) return;
+    for (const pane of [this.photoPane, this.scenePane]) {
+      pane.clearCandidate();
+      pane.cursor.end();
+    }
+    const is = text("tool_now", text(`tool_${tool}`)), makes = tool !== "prompt" && this.item === null && !this.transients;
+    this.say(makes ? `${is} ${text("region_new")}` : is);
   }
 
   makeTools() {
@@ -272,6 +283,7 @@ export class App {
     const all = ["centre", "visible", "footprint"];
     this.rule = rule ? (this.rule === rule ? "centre" : rule) : all[(all.indexOf(this.rule) + 1) % 3];
     of("rule").textContent = text(`rule_${this.rule}`);
+    this.say(text("rule_now", text(`rule_${this.rule}`)));
   }
 
   /** Colour of an object's label. @param {number} label */
@@ -296,7 +308,7 @@ export class App {
     const key = `${item.id}/${item.selection}`;
     let found = this.counts.get(key);
     if (!found) {
-      found = this.run.photosOf(item.id);
+      found = this.run.photosOf(item.id, this.counting.signal);
       this.counts.set(key, found);
       found.catch(() => this.counts.delete(key));
     }
@@ -395,14 +407,18 @@ export class App {
     this.side.update();
     const photo = this.state?.draft.prompts[0]?.photo;
     if (photo !== undefined) this.prompt(photo, () => {});
-    else this.photoPane.hover();
+    else {
+      this.photoPane.hover();
+      this.scenePane.hover();
+    }
   }
 
   /**
    * Changes the selected object by a region, or makes a new one.
-   * @param {string} tool @param {number[][]} path @param {import("./api.js").View} view @param {number} radius @param {MouseEvent} event
+   * @param {string} tool @param {number[][]} path @param {import("./api.js").View} view @param {number} radius
+   * @param {import("./tools.js").Modifiers} event
    */
-  region(tool, path, view, radius, event) {
+  async region(tool, path, view, radius, event) {
     const [a, b] = [path[0], path[path.length - 1]];
     const shapes = {
       rectangle: { shape: "polygon", points: [[a[0], a[1]], [b[0], a[1]], [b[0], b[1]], [a[0], b[1]]] },
@@ -423,7 +439,7 @@ export class App {
     if (region.points) region.points = region.points.map(small);
     if (region.at) region.at = small(region.at);
     if (region.radius) region.radius *= s;
-    this.act({ do: "region", id: this.item, view: { ...view, camera }, region, how, rule: this.rule });
+    return this.act({ do: "region", id: this.item, view: { ...view, camera }, region, how, rule: this.rule });
   }
 
   /** Turns the 3D view to the answer or the selected object, so near that it fills the view; without one to the scene. */
@@ -466,7 +482,7 @@ export class App {
       const act = actionOf(event, where ? where.id : "");
       if (!act || !this.run.name && !WITHOUT_RUN.includes(act)) return;
       event.preventDefault();
-      this.do(act);
+      this.do(act, where ? where.id : "");
     });
     document.addEventListener("keyup", event => this.held.delete(event.code));
     window.addEventListener("blur", () => this.held.clear());
@@ -481,9 +497,9 @@ export class App {
     }
   }
 
-  /** Does what a key or a button stands for. @param {string} act */
-  do(act) {
-    const { state, photoPane, scenePane } = this, item = this.selected();
+  /** Does what a key or a button stands for, with the focus in `where`. @param {string} act @param {string} [where] */
+  do(act, where) {
+    const { state, photoPane, scenePane } = this, item = this.selected(), { cursor } = where === "space" ? scenePane : photoPane;
     const step = 0.06;
     /** @type {Record<string, () => unknown>} */
     const acts = {
@@ -493,6 +509,7 @@ export class App {
         return this.act({ do: "keep" });
       },
       drop: () => {
+        if (photoPane.cursor.end() || scenePane.cursor.end()) return this.say(text("mark_dropped"));
         if (state?.draft.prompts.length || state?.draft.listed !== null || state?.draft.text !== null) return this.act({ do: "prompt", prompts: [] });
         if (state?.isolated !== null) return this.act({ do: "isolate", id: null });
         this.select(null);
@@ -529,9 +546,14 @@ export class App {
       transients: () => this.showTransients(!this.transients),
       train: () => this.run.post("train", {}).then(() => this.say(text("trained_again")), error => this.failed(error)),
       rendered_by: () => scenePane.switchDrawer(),
-      cursor_left: () => photoPane.moveCursor(-1, 0), cursor_right: () => photoPane.moveCursor(1, 0),
-      cursor_up: () => photoPane.moveCursor(0, -1), cursor_down: () => photoPane.moveCursor(0, 1),
-      click_inside: () => photoPane.clickCursor(true), click_outside: () => photoPane.clickCursor(false),
+      cursor_left: () => cursor.move(-STEP, 0), cursor_right: () => cursor.move(STEP, 0),
+      cursor_up: () => cursor.move(0, -STEP), cursor_down: () => cursor.move(0, STEP),
+      scene_cursor_left: () => cursor.move(-STEP, 0), scene_cursor_right: () => cursor.move(STEP, 0),
+      scene_cursor_up: () => cursor.move(0, -STEP), scene_cursor_down: () => cursor.move(0, STEP),
+      fine_left: () => cursor.move(-FINE, 0), fine_right: () => cursor.move(FINE, 0),
+      fine_up: () => cursor.move(0, -FINE), fine_down: () => cursor.move(0, FINE),
+      click_inside: () => cursor.press("add"), click_outside: () => cursor.press("subtract"), intersect: () => cursor.press("intersect"),
+      corner: () => this.tool === "prompt" && cursor.corner(), pivot: () => scenePane.pivotCursor(),
       forward: () => scenePane.pan(0, 0, step), back: () => scenePane.pan(0, 0, -step),
       left: () => scenePane.pan(-step, 0), right: () => scenePane.pan(step, 0),
       up: () => scenePane.pan(0, -step), down: () => scenePane.pan(0, step),

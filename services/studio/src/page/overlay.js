@@ -22,6 +22,14 @@ export function decode(map) {
   return labels;
 }
 
+/** The share of the pixels that have a label. @param {LabelMap | null} map */
+export function covered(map) {
+  if (!map) return null;
+  let count = 0;
+  for (let k = 0; k < map.runs.length; k += 2) if (map.runs[k]) count += map.runs[k + 1];
+  return count / (map.width * map.height);
+}
+
 /**
  * Paints labels: a tint inside, an opaque outline.
  * @param {HTMLCanvasElement} canvas @param {LabelMap | null} map @param {(label: number) => number[] | null} colour

@@ -1,9 +1,10 @@
 // The photos: the strip, and the large one with its marks, candidates, clicks and strokes.
 
 import { showImage } from "./api.js";
-import { ANSWER, ANSWER_COLOUR, paint } from "./overlay.js";
+import { Cursor } from "./cursor.js";
+import { ANSWER, ANSWER_COLOUR, covered, paint } from "./overlay.js";
 import { text } from "./strings.js";
-import { SIZED } from "./tools.js";
+import { SIZED, drawStroke } from "./tools.js";
 
 /** @typedef {import("./main.js").App} App */
 /** @typedef {import("./api.js").Prompts} Prompts */
@@ -28,8 +29,18 @@ export class PhotoPane {
   constructor(app) {
     this.app = app;
     this.zoom = { scale: 1, x: 0, y: 0 };
-    /** Position of the keyboard's cursor in the photo, in shares; null until it is used. @type {number[] | null} */
-    this.cursor = null;
+    this.cursor = new Cursor(app, {
+      stroke,
+      size: () => this.photo.camera,
+      brush: () => this.brush(),
+      moved: () => this.cursorMoved(),
+      candidate: () => this.share,
+      click: (at, inside) => this.app.addPoint(this.app.photo, at, inside),
+      box: (a, b) => this.app.addBox(this.app.photo, a, b),
+      region: (tool, path, how) => this.region(tool, path, how),
+    });
+    /** The share of the photo that the candidate covers. @type {number | null} */
+    this.share = null;
     this.labelled = "";
     this.hovering = /** @type {AbortController | null} */ (null);
     this.hovered = /** @type {number[] | null} */ (null);
@@ -59,7 +70,7 @@ export class PhotoPane {
     image.alt = name;
     of("photo-name").textContent = `${name} · ${camera.width} × ${camera.height}${held_out ? ` · ${text("held_out")}` : ""}`;
     this.zoom = { scale: 1, x: 0, y: 0 };
-    this.cursor = null;
+    this.cursor.forget();
     this.clearCandidate();
     paint(labels, null, () => null);
     this.labelled = "";
@@ -130,16 +141,19 @@ export class PhotoPane {
       if (e.type === "pointercancel") return;
       move(e);
       stroke.replaceChildren();
-      if (tool !== "prompt") {
-        const { camera, rotation, translation } = this.photo;
-        return this.app.region(tool, path, { camera, rotation, translation }, this.brush(), e);
-      }
+      if (tool !== "prompt") return this.region(tool, path, e);
       if (far && !outside) return this.app.addBox(this.app.photo, start, this.at(e));
       this.app.addPoint(this.app.photo, start, !outside);
     };
     stage.addEventListener("pointermove", move);
     stage.addEventListener("pointerup", end);
     stage.addEventListener("pointercancel", end);
+  }
+
+  /** Marks a region of the photo. @param {string} tool @param {number[][]} path @param {import("./tools.js").Modifiers} how */
+  region(tool, path, how) {
+    const { camera, rotation, translation } = this.photo;
+    return this.app.region(tool, path, { camera, rotation, translation }, this.brush(), how);
   }
 
   /** Radius of the brush in pixels of the photo. */
@@ -177,6 +191,7 @@ export class PhotoPane {
 
   /** Shows the size of a brush or a sphere under the pointer. */
   preview() {
+    if (this.cursor.shape) return this.cursor.draw();
     stroke.replaceChildren();
     if (this.hovered && SIZED.includes(this.app.tool)) drawStroke(stroke, "sphere", [this.hovered], this.photo.camera, this.brush());
   }
@@ -184,6 +199,7 @@ export class PhotoPane {
   clearCandidate() {
     this.hovering?.abort();
     this.hovering = null;
+    this.share = null;
     paint(candidate, null, () => null);
   }
 
@@ -202,6 +218,7 @@ export class PhotoPane {
       app.times.hover = performance.now() - began;
       if (signal.aborted || photo !== app.photo) return;
       paint(candidate, map, () => [255, 255, 255]);
+      this.share = covered(map);
     } catch (error) {
       if (!signal.aborted) app.failed(error);
     }
@@ -224,21 +241,12 @@ export class PhotoPane {
     this.drawPrompts();
   }
 
-  /** Moves the keyboard's cursor. @param {number} dx @param {number} dy */
-  moveCursor(dx, dy) {
-    const [x, y] = this.cursor ?? [0.5, 0.5], clamp = (/** @type {number} */ v) => Math.min(0.999, Math.max(0.001, v));
-    this.cursor = [clamp(x + dx * 0.02), clamp(y + dy * 0.02)];
-    const { camera } = this.photo;
-    this.hovered = [this.cursor[0] * camera.width, this.cursor[1] * camera.height];
+  /** Shows the keyboard's cursor, and the candidate there. */
+  cursorMoved() {
+    this.hovered = this.cursor.position();
     this.drawPrompts();
     this.hover();
-  }
-
-  /** Clicks where the keyboard's cursor is. @param {boolean} inside */
-  clickCursor(inside) {
-    const { camera } = this.photo, [x, y] = this.cursor ?? [0.5, 0.5];
-    this.cursor = [x, y];
-    this.app.addPoint(this.app.photo, [x * camera.width, y * camera.height], inside);
+    this.preview();
   }
 
   /** Shows the prompts of this photo; a click on one removes it. */
@@ -272,10 +280,11 @@ export class PhotoPane {
       });
       elements.push(frame);
     }
-    if (this.cursor) {
+    const cursor = this.cursor.at;
+    if (cursor) {
       const mark = document.createElement("span");
       mark.className = "cursor";
-      Object.assign(mark.style, { left: `${100 * this.cursor[0]}%`, top: `${100 * this.cursor[1]}%`, scale: String(shrink) });
+      Object.assign(mark.style, { left: `${100 * cursor[0]}%`, top: `${100 * cursor[1]}%`, scale: String(shrink) });
       elements.push(mark);
     }
     promptBox.replaceChildren(...elements);
@@ -304,26 +313,6 @@ export class PhotoPane {
     }
     if (this.labelled !== wanted()) this.update();
   }
-}
-
-/**
- * Draws a tool's path.
- * @param {Element} svg @param {string} tool @param {number[][]} path @param {{width: number, height: number}} size @param {number} radius
- */
-export function drawStroke(svg, tool, path, size, radius) {
-  svg.setAttribute("viewBox", `0 0 ${size.width} ${size.height}`);
-  svg.setAttribute("preserveAspectRatio", "none");
-  const [a, b] = [path[0], path[path.length - 1]];
-  const line = document.createElementNS("http://www.w3.org/2000/svg", "path");
-  const round = `M${b[0] - radius} ${b[1]}a${radius} ${radius} 0 1 0 ${2 * radius} 0a${radius} ${radius} 0 1 0 ${-2 * radius} 0`;
-  const shapes = {
-    lasso: `M${path.map(p => p.join(" ")).join("L")}Z`,
-    brush: `M${path.map(p => p.join(" ")).join("L")}${round}`,
-    sphere: round,
-  };
-  const rectangle = `M${a[0]} ${a[1]}H${b[0]}V${b[1]}H${a[0]}Z`;
-  line.setAttribute("d", shapes[/** @type {keyof typeof shapes} */ (tool)] ?? rectangle);
-  svg.replaceChildren(line);
 }
 
 /** The strip of all photos. */
@@ -416,7 +405,10 @@ export class Strip {
     const wanted = only ? `answer ${only.number}` : item ? `${item.id}/${item.selection}` : "";
     if (wanted !== this.shownFor) {
       this.shownFor = wanted;
-      this.counts = this.count(wanted, only ? app.run.photosOf(ANSWER_ID) : item ? app.photosOf(item) : null);
+      // Nobody needs those of an answer that has been replaced.
+      this.counting?.abort();
+      this.counting = new AbortController();
+      this.counts = this.count(wanted, only ? app.run.photosOf(ANSWER_ID, this.counting.signal) : item ? app.photosOf(item) : null);
     }
     return this.counts;
   }

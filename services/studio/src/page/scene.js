@@ -2,11 +2,11 @@
 
 import { add, centreOf, cross, dot, fitted, length, pose, project, rotate, scale, scaled, subtract, transposed, turned, unit } from "./geometry.js";
 import { FRAME, LEAST_SPLATS, SplatBudget } from "./budget.js";
-import { ANSWER, ANSWER_COLOUR } from "./overlay.js";
-import { drawStroke } from "./photos.js";
+import { Cursor } from "./cursor.js";
+import { ANSWER, ANSWER_COLOUR, covered, paint } from "./overlay.js";
 import { HIDDEN, SplatView } from "./splats.js";
 import { text } from "./strings.js";
-import { SIZED } from "./tools.js";
+import { SIZED, drawStroke } from "./tools.js";
 
 /** @typedef {import("./main.js").App} App */
 /** @typedef {import("./api.js").View} View */
@@ -17,6 +17,11 @@ const DRAG = 5;
 const DOUBLE = 220;
 /** Milliseconds without motion after which a view is drawn at full size. */
 const REST = 120;
+/** Milliseconds that a pointer rests before the candidate under it is requested. */
+const SETTLED = 30;
+/** Longest sides of a view in which a pixel is picked, and in which a candidate is requested. */
+const PICKED = 2048;
+const HOVERED = 512;
 /** Milliseconds from which a frame at full size is late: what has changed is shown in a small one before. */
 const LATE = 100;
 /** Longest side that the server draws, in motion and at rest. */
@@ -40,7 +45,8 @@ const HIDDEN_LABEL = 254;
 
 const of = (/** @type {string} */ id) => /** @type {HTMLElement} */ (document.getElementById(id));
 const space = of("space"), frame = /** @type {HTMLImageElement} */ (of("frame"));
-const cameras = /** @type {HTMLCanvasElement} */ (of("cameras")), stroke = of("scene-stroke");
+const cameras = /** @type {HTMLCanvasElement} */ (of("cameras")), stroke = of("scene-stroke"), mark = of("scene-cursor");
+const candidate = /** @type {HTMLCanvasElement} */ (of("scene-candidate"));
 
 /** The 3D view. */
 export class ScenePane {
@@ -77,6 +83,20 @@ export class ScenePane {
     this.fresh = false;
     /** Where the pointer is. @type {number[] | null} */
     this.pointed = null;
+    /** The request for the candidate under it. @type {AbortController | null} */
+    this.hovering = null;
+    /** The share of the view that the candidate covers. @type {number | null} */
+    this.share = null;
+    this.cursor = new Cursor(app, {
+      stroke,
+      size: () => ({ width: space.clientWidth, height: space.clientHeight }),
+      brush: () => this.brush(),
+      moved: () => this.cursorMoved(),
+      candidate: () => this.share,
+      click: (at, inside) => this.pick(at).then(picked => picked && this.prompt(picked, inside)),
+      box: () => {},
+      region: (tool, path, how) => this.app.region(tool, path, this.full(), this.brush(), how),
+    });
     this.moved = 0;
     this.eye = [0, 0, 0];
     this.forward = [0, 0, 1];
@@ -89,10 +109,12 @@ export class ScenePane {
       const box = space.getBoundingClientRect();
       this.pointed = event.buttons || event.pointerType === "touch" ? null : [event.clientX - box.left, event.clientY - box.top];
       if (!event.buttons) this.preview();
+      this.hover();
     });
     space.addEventListener("pointerleave", () => {
       this.pointed = null;
       this.preview();
+      this.hover();
     });
     space.addEventListener("contextmenu", event => event.preventDefault());
     space.addEventListener("wheel", event => {
@@ -112,6 +134,8 @@ export class ScenePane {
     this.down = rotation.slice(3, 6);
     const depth = dot(subtract(this.app.description.centre, this.eye), this.forward);
     this.pivot = add(this.eye, scale(this.forward, Math.max(depth, 0.1)));
+    this.clearCandidate();
+    this.hover(REST);
     this.redraw();
   }
 
@@ -128,7 +152,64 @@ export class ScenePane {
   move() {
     this.exact = undefined;
     this.moved = performance.now();
+    this.clearCandidate();
+    this.hover(REST);
     this.redraw();
+  }
+
+  /** A position of the pane as one of a view that the server takes. @param {number[]} at @param {number} most */
+  seen(at, most) {
+    const view = this.full(), { width, height } = view.camera, camera = scaled(view.camera, Math.min(1, most / Math.max(width, height)));
+    return { ...view, camera, at: [at[0] * camera.width / width, at[1] * camera.height / height] };
+  }
+
+  clearCandidate() {
+    clearTimeout(this.settling);
+    this.hovering?.abort();
+    this.hovering = null;
+    this.share = null;
+    if (candidate.width > 1) paint(candidate, null, () => null);
+  }
+
+  /** Shows the candidate under the pointer once it rests. @param {number} [wait] */
+  hover(wait = SETTLED) {
+    const { app } = this;
+    clearTimeout(this.settling);
+    if (!this.pointed || app.tool !== "prompt" || !app.state || !app.description.tree || app.photoPane.requests || !app.shows("scene")) {
+      return this.clearCandidate();
+    }
+    this.settling = setTimeout(() => this.showCandidate(), wait);
+  }
+
+  /** Asks for the candidate; one request at a time, the newest position counts. */
+  async showCandidate() {
+    const { app, pointed } = this;
+    if (!pointed || this.hovering) return;
+    const stop = new AbortController(), { at: [x, y], ...view } = this.seen(pointed, HOVERED), began = performance.now();
+    this.hovering = stop;
+    try {
+      const map = await app.run.hover({ photo: 0, x, y, granularity: app.level, view }, stop.signal);
+      app.times.hover_scene = performance.now() - began;
+      if (stop.signal.aborted) return;
+      paint(candidate, map, () => [255, 255, 255]);
+      this.share = covered(map);
+    } catch (error) {
+      if (!stop.signal.aborted) app.failed(error);
+    }
+    if (this.hovering !== stop) return;
+    this.hovering = null;
+    if (this.pointed !== pointed) this.hover();
+  }
+
+  /** Shows the keyboard's cursor, and the candidate there. */
+  cursorMoved() {
+    const [x, y] = this.cursor.at ?? [0, 0];
+    mark.hidden = !this.cursor.at;
+    mark.style.left = `${100 * x}%`;
+    mark.style.top = `${100 * y}%`;
+    this.pointed = this.cursor.position();
+    this.preview();
+    this.hover();
   }
 
   /** @param {number} dx @param {number} dy */
@@ -178,6 +259,7 @@ export class ScenePane {
 
   /** Shows the size of a brush or a sphere under the pointer. */
   preview() {
+    if (this.cursor.shape) return this.cursor.draw();
     stroke.replaceChildren();
     const size = { width: space.clientWidth, height: space.clientHeight };
     if (this.pointed && SIZED.includes(this.app.tool)) drawStroke(stroke, "sphere", [this.pointed], size, this.brush());
@@ -190,6 +272,8 @@ export class ScenePane {
     space.setPointerCapture(event.pointerId);
     const box = space.getBoundingClientRect(), start = [event.clientX - box.left, event.clientY - box.top];
     // With Alt a tool leaves the camera to the pointer.
+    this.pointed = null;
+    this.clearCandidate();
     const path = [start], { tool } = this.app, marks = tool !== "prompt" && event.button === 0 && !event.altKey;
     let last = start, far = false;
     const move = (/** @type {PointerEvent} */ e) => {
@@ -234,7 +318,7 @@ export class ScenePane {
       return this.app.openPhoto(near);
     }
     // Found while it is not known yet whether it is a double click.
-    const count = ++this.clicks, picking = this.app.run.pick({ ...this.full(), at }).catch(error => this.app.failed(error));
+    const count = ++this.clicks, picking = this.pick(at);
     await new Promise(done => setTimeout(done, DOUBLE));
     const double = this.clicks !== count;
     if (double && this.clicks !== count + 1) return;
@@ -243,13 +327,33 @@ export class ScenePane {
     if (double) this.doubled = count;
     const picked = await picking;
     if (!picked) return;
-    if (double) {
-      this.pivot = picked.point;
-      this.forward = unit(subtract(this.pivot, this.eye));
-      return this.move();
-    }
-    if (picked.photo !== this.app.photo && !this.app.state?.draft.prompts.length) await this.app.openPhoto(picked.photo);
-    this.app.addPoint(picked.photo, [picked.x, picked.y], !outside);
+    if (double) return this.turnTo(picked.point);
+    await this.prompt(picked, !outside);
+  }
+
+  /** The photo that shows best what is at a position, or nothing. @param {number[]} at */
+  pick(at) {
+    return this.app.run.pick(this.seen(at, PICKED)).catch(error => this.app.failed(error));
+  }
+
+  /** Clicks in the photo that shows a position best. @param {{photo: number, x: number, y: number}} picked @param {boolean} inside */
+  async prompt(picked, inside) {
+    const { app } = this;
+    if (picked.photo !== app.photo && !app.state?.draft.prompts.length) await app.openPhoto(picked.photo);
+    app.addPoint(picked.photo, [picked.x, picked.y], inside);
+  }
+
+  /** Orbits around a point from now on. @param {number[]} point */
+  turnTo(point) {
+    this.pivot = point;
+    this.forward = unit(subtract(this.pivot, this.eye));
+    this.move();
+  }
+
+  /** Orbits around what is at the keyboard's cursor. */
+  async pivotCursor() {
+    const picked = await this.pick(this.cursor.position());
+    if (picked) this.turnTo(picked.point);
   }
 
   /** The camera whose centre is drawn at a position. @param {number[]} at */
@@ -414,6 +518,9 @@ export class ScenePane {
 
   /** Forgets the splats and the changes of a run. */
   forget() {
+    this.clearCandidate();
+    this.cursor.forget();
+    mark.hidden = true;
     this.loading?.abort();
     this.loaded = "";
     this.backdrop = "";

@@ -2,9 +2,12 @@
 
 import { text } from "./strings.js";
 
-/** @typedef {{act: string, keys: string[], where?: "stage" | "space", mouse?: boolean}} Shortcut */
+/** @typedef {{act: string, keys: string[], where?: "stage" | "space" | "both", mouse?: boolean}} Shortcut */
 
-/** `keys` are codes of keys (`KeyZ`), with `Ctrl+` or `Shift+` before them; `mouse` rows only explain. @type {Shortcut[]} */
+/**
+ * `keys` are codes of keys (`KeyZ`), with `Ctrl+` or `Shift+` before them; `mouse` rows only explain. Those of a `where` need the focus
+ * in the photo (`stage`), in the 3D view (`space`), or in one of them. @type {Shortcut[]}
+ */
 const table = [
   { act: "keep", keys: ["Enter"] },
   { act: "drop", keys: ["Escape"] },
@@ -39,8 +42,19 @@ const table = [
   { act: "cursor_right", keys: ["ArrowRight"], where: "stage" },
   { act: "cursor_up", keys: ["ArrowUp"], where: "stage" },
   { act: "cursor_down", keys: ["ArrowDown"], where: "stage" },
-  { act: "click_inside", keys: ["Space"], where: "stage" },
-  { act: "click_outside", keys: ["KeyX"], where: "stage" },
+  { act: "scene_cursor_left", keys: ["Shift+ArrowLeft"], where: "space" },
+  { act: "scene_cursor_right", keys: ["Shift+ArrowRight"], where: "space" },
+  { act: "scene_cursor_up", keys: ["Shift+ArrowUp"], where: "space" },
+  { act: "scene_cursor_down", keys: ["Shift+ArrowDown"], where: "space" },
+  { act: "fine_left", keys: ["Ctrl+ArrowLeft"], where: "both" },
+  { act: "fine_right", keys: ["Ctrl+ArrowRight"], where: "both" },
+  { act: "fine_up", keys: ["Ctrl+ArrowUp"], where: "both" },
+  { act: "fine_down", keys: ["Ctrl+ArrowDown"], where: "both" },
+  { act: "click_inside", keys: ["Space"], where: "both" },
+  { act: "click_outside", keys: ["KeyX"], where: "both" },
+  { act: "intersect", keys: ["Shift+KeyX"], where: "both" },
+  { act: "corner", keys: ["KeyK"], where: "stage" },
+  { act: "pivot", keys: ["KeyG"], where: "space" },
   { act: "forward", keys: ["KeyW"], where: "space" },
   { act: "back", keys: ["KeyS"], where: "space" },
   { act: "left", keys: ["KeyA"], where: "space" },
@@ -65,7 +79,8 @@ export const shortcuts = table.map(s => ({ ...s, does: text(`does_${s.act}`) }))
 export function actionOf(event, where) {
   const name = (event.ctrlKey || event.metaKey ? "Ctrl+" : "") + (event.shiftKey ? "Shift+" : "") + event.code;
   const fits = (/** @type {Shortcut} */ s) => !s.mouse && s.keys.includes(name);
-  return (shortcuts.find(s => fits(s) && s.where === where) ?? shortcuts.find(s => fits(s) && !s.where))?.act ?? null;
+  const here = (/** @type {Shortcut} */ s) => s.where === where || (s.where === "both" && where !== "");
+  return (shortcuts.find(s => fits(s) && here(s)) ?? shortcuts.find(s => fits(s) && !s.where))?.act ?? null;
 }
 
 /** A key as a person reads it. @param {string} key */
