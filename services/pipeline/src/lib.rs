@@ -68,6 +68,7 @@ pub use output::evaluate::{
 };
 pub use output::light::{AppearanceRequest, BlendedAppearance, OWN};
 pub use output::objects::{ExportedObjects, ListedObjects, ObjectList, SceneObject, SeenOnceShare};
+pub use output::provenance::{ExportProvenance, ObjectProvenance};
 pub use output::render::{FRAMES_AROUND, Mode, RenderContent, RenderRequest, RenderedFile, UNSEEN, render};
 pub use output::report::write_report;
 pub use output::splat_files::{ConvertedFormat, ExportFormat, SplatTransform};
@@ -82,8 +83,8 @@ pub use run::{
 pub use segwild_segmenter::AnswerStep;
 pub use segwild_trainer::{AppearanceChoice, BudgetChoice, Preset};
 pub use session::{
-    Answer, PackedSplats, PendingAnswer, SegmentOutcome, Session, SessionOptions, ShownParts, ShownScene,
-    export_objects, list_objects, segment,
+    Answer, MaskedObject, PackedSplats, PendingAnswer, SegmentOutcome, Session, SessionOptions, ShownParts,
+    ShownScene, export_objects, list_objects, segment,
 };
 pub use settings::{
     DescribedPhotos, EngineKind, RunBudget, RunSettings, Scoring, Settings, SettingsError, WhenLost, renamed,

@@ -123,7 +123,7 @@ impl BlendedAppearance {
 
 /// The export of a trained scene's splats for other programs.
 pub(crate) fn export<'a>(scene: &'a Scene, model: &Model) -> Export<'a> {
-    Export { frame: &scene.frame, antialias: model.antialias, extra: &[] }
+    Export { frame: &scene.frame, antialias: model.antialias, extra: &[], provenance: None }
 }
 
 /// The appearance of the photo of this name, or the scene's own if it is empty.

@@ -8,6 +8,7 @@ mod foreign_photo;
 pub(crate) mod light;
 pub(crate) mod object_masks;
 pub(crate) mod objects;
+pub(crate) mod provenance;
 pub(crate) mod render;
 pub(crate) mod report;
 pub(crate) mod splat_files;

@@ -2,7 +2,9 @@
 
 use super::resident::Session;
 use crate::output::objects::write_objects;
-use crate::{ExportFormat, ExportedObjects, ListedObjects, ObjectList, RunError};
+use crate::{
+    ExportFormat, ExportedObjects, ListedObjects, ObjectList, ObjectProvenance, Replay, RunError, SceneObject,
+};
 use segwild_flow::Stopper;
 use std::path::Path;
 
@@ -29,7 +31,16 @@ pub fn export_objects(
     format: ExportFormat,
     stopper: &Stopper,
 ) -> Result<ExportedObjects, RunError> {
-    write_objects(&session.list_request()?, listed, out, appearance, format, stopper)
+    let objects = listed.list.objects.iter().map(|object| selected(listed, object));
+    let provenance = session.provenance(objects.collect());
+    write_objects(&session.list_request()?, listed, provenance, out, appearance, format, stopper)
+}
+
+/// How an object of a list is selected.
+fn selected(listed: &ListedObjects, object: &SceneObject) -> ObjectProvenance {
+    let query = listed.list.query(&object.number.to_string()).ok();
+    let replay = query.map(|query| Replay { object: Some(query), ..Replay::default() });
+    ObjectProvenance { name: object.label(), replay, edited: false }
 }
 
 /// Writes the list of a run's objects, for [`ObjectList::read`]. Names of the list before are kept.

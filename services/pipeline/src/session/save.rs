@@ -1,22 +1,18 @@
 //! Writes an answer as a selection: the object and its masks, in formats that other tools open.
 
 use super::answer::Answer;
+use super::photo_masks::PhotoMasks;
 use super::resident::Session;
 use crate::artifacts::intact;
 use crate::artifacts::selected::Selected;
 use crate::artifacts::traces;
 use crate::code;
 use crate::output::light::{self, find};
-use crate::output::object_masks::ObjectMasks;
 use crate::output::report;
-use crate::settings::AT_ONCE;
-use crate::{PhotoPrompts, RunError, RunFolder, TextRanking, transients};
-use rayon::prelude::*;
-use segwild_flow::{FileError, fault, files};
-use segwild_scene::{Export, Image, Mask, Scene, ScoredMask, View};
-use segwild_segmenter::{
-    Alternative, MaskMode, PhotoVerdict, Segmented, SelectedObject, SelectionConfidence,
-};
+use crate::{ObjectProvenance, PhotoPrompts, RunError, RunFolder, TextRanking, transients};
+use segwild_flow::{FileError, Phase, Stopper, fault, files};
+use segwild_scene::{Export, Mask, Scene, ScoredMask};
+use segwild_segmenter::{Alternative, PhotoVerdict, Segmented, SelectedObject, SelectionConfidence};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -101,17 +97,29 @@ impl Session {
     /// # Errors
     /// When the name cannot be used, or a file cannot be written.
     pub fn save(&self, name: &str, answer: &Answer) -> Result<SegmentOutcome, RunError> {
+        self.save_watched(name, answer, &Stopper::new(), &|_, _| ())
+    }
+
+    /// The same. `progress` receives the photos whose masks are written, and all photos; of a save that `stopper` stops, nothing is
+    /// left.
+    ///
+    /// # Errors
+    /// As [`Session::save`], and when `stopper` stops it.
+    pub fn save_watched(
+        &self,
+        name: &str,
+        answer: &Answer,
+        stopper: &Stopper,
+        progress: &dyn Fn(usize, usize),
+    ) -> Result<SegmentOutcome, RunError> {
         let began = Instant::now();
-        let Session {
-            folder, made_with, scene, model, engine, providers, files: image_files, system, ..
-        } = self;
+        let Session { folder, scene, model, providers, files: image_files, system, .. } = self;
         let Answer { replay, ranking, segmented, select_s } = answer;
         let appearance = replay.settings.as_ref().map_or("", |settings| &settings.object_appearance);
         RunFolder::can_name(name)?;
         image_files.fit(&folder.selection(name))?;
         traces::of_selection(folder, name, &system.report())?;
         let in_colour = light::shown(scene, model, appearance)?;
-        let size = made_with.scene.size;
         // Written aside and then renamed, so that a selection is there as a whole or not at all.
         files::remove_litter(&folder.path().join("selections"));
         let target = folder.selection(name);
@@ -164,7 +172,14 @@ impl Session {
             let path = aside.join("selection.bin");
             files::write_atomic(&path, &selected.to_bytes())?;
             pass()?;
-            let export = light::export(scene, model);
+            let made_by = self.provenance(vec![ObjectProvenance {
+                name: name.to_owned(),
+                replay: Some(replay.clone()),
+                edited: false,
+            }]);
+            json("provenance.json", serde_json::to_vec_pretty(&made_by))?;
+            let made_by = made_by.value();
+            let export = Export { provenance: Some(&made_by), ..light::export(scene, model) };
             export.write(&aside.join("object.ply"), &object.splats)?;
             let labels: Vec<u8> = selected.labels.iter().map(|&l| u8::from(l)).collect();
             let labelled = Export { extra: &[("label", &labels)], ..export };
@@ -175,38 +190,23 @@ impl Session {
                 let mask = mask.mask.resized(full.width, full.height);
                 scene.views[*view].mask_to_taken(mask).write_png(&prompt_dir.join(&names[*view]))?;
             }
-            let cut_splats = selected.cut_scene(&model.splats);
-            let in_sight = ObjectMasks::new(
-                &**engine,
-                &cut_splats,
-                &selected.labels,
-                model.options(),
-                MaskMode::Visible,
-            )?;
-            let keep = selected.splats();
-            let alone = cut_splats.select(&keep);
-            let whole = vec![true; keep.len()];
-            let alone = ObjectMasks::new(&**engine, &alone, &whole, model.options(), MaskMode::Amodal)?;
-            // Rendered one after the other, since an engine may be one device; written several at once, since photos are
-            // large.
-            let views: Vec<(&View, &String)> = scene.views.iter().zip(names).collect();
-            for some in views.chunks(rayon::current_num_threads().min(AT_ONCE)) {
-                let draw = |(view, _): &(&View, &String)| -> Result<[Image; 2], RunError> {
-                    let of = |source: &ObjectMasks| source.share(&view.camera, &view.pose, size);
-                    Ok([of(&in_sight)?, of(&alone)?])
-                };
-                let shares = some.iter().map(draw).collect::<Result<Vec<_>, _>>()?;
-                let write = |((view, name), [visible, amodal]): (&(&View, &String), &[Image; 2])| {
-                    let visible = view.mask_to_taken(in_sight.mask(visible, &view.camera));
-                    visible.write_png(&mask_dir.join(name))?;
-                    let amodal = view.mask_to_taken(alone.mask(amodal, &view.camera));
-                    amodal.write_png(&amodal_dir.join(name))?;
-                    Ok(!visible.is_empty())
-                };
-                let shown =
-                    some.par_iter().zip(&shares).map(write).collect::<Result<Vec<bool>, RunError>>()?;
-                for shown in shown {
+            let object = self.masked_object(&selected);
+            let photo_masks = PhotoMasks::new(self, &object)?;
+            let photos: Vec<usize> = (0..scene.views.len()).collect();
+            let write = |photo: usize, [visible, amodal]: [Mask; 2]| -> Result<bool, RunError> {
+                visible.write_png(&mask_dir.join(&names[photo]))?;
+                amodal.write_png(&amodal_dir.join(&names[photo]))?;
+                Ok(!visible.is_empty())
+            };
+            let mut written = 0;
+            for some in photos.chunks(PhotoMasks::at_once()) {
+                if stopper.phase() != Phase::Running {
+                    return Err(RunError::Interrupted);
+                }
+                for shown in photo_masks.each(some, write)? {
                     outcome.photos += usize::from(shown);
+                    written += 1;
+                    progress(written, photos.len());
                     pass()?;
                 }
             }

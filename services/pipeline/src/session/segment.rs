@@ -32,5 +32,5 @@ pub fn segment(
     // Before anything is computed.
     session.files.fit(&folder.selection(name))?;
     let answer = session.ask(replay, settings, stopper)?.wait(|_, _| ())?;
-    session.save(name, &answer)
+    session.save_watched(name, &answer, stopper, &|_, _| ())
 }

@@ -8,7 +8,7 @@ use crate::output::cover::cover;
 use crate::output::light::{self, BlendedAppearance};
 use crate::output::objects::coco_masks;
 use crate::output::render::{HIGHLIGHT, over_white};
-use crate::{PhotoPrompts, RunError, transients};
+use crate::{ExportProvenance, ObjectProvenance, PhotoPrompts, RunError, transients};
 use segwild_flow::Stopper;
 use segwild_raster::{Channels, FrontLayer};
 use segwild_scene::{
@@ -296,6 +296,20 @@ impl Session {
         Ok(self.model.baked(&appearance.light(&self.scene, &self.model)?.into()))
     }
 
+    /// How files of this scene, or of some of its objects, are made.
+    pub fn provenance(&self, objects: Vec<ObjectProvenance>) -> ExportProvenance {
+        let mut settings = self.made_with.clone();
+        // Where networks are on this machine, and who serves them, says nothing to others.
+        settings.vision.code_mut().into_iter().for_each(String::clear);
+        ExportProvenance {
+            version: env!("CARGO_PKG_VERSION"),
+            training: self.training.clone(),
+            provider: self.providers.name.clone(),
+            settings,
+            objects,
+        }
+    }
+
     /// The splats of an object, its spikes cut, as the bytes of a file for other programs.
     ///
     /// # Errors
@@ -305,9 +319,11 @@ impl Session {
         selected: &Selected,
         appearance: &BlendedAppearance,
         format: SplatFormat,
+        provenance: &ExportProvenance,
     ) -> Result<Vec<u8>, RunError> {
         let in_colour = selected.cut_scene(&self.in_colour(appearance)?);
-        let export = light::export(&self.scene, &self.model);
+        let made_by = provenance.value();
+        let export = Export { provenance: Some(&made_by), ..light::export(&self.scene, &self.model) };
         Ok(export
             .encode(format, &in_colour.select(&selected.splats()))
             .map_err(SceneError::io(self.folder.path()))?)
@@ -319,23 +335,25 @@ impl Session {
     /// When a photo of the appearance is unknown or took no part in the training.
     pub fn labelled_ply(&self, labels: &[u8], appearance: &BlendedAppearance) -> Result<Vec<u8>, RunError> {
         let extra: &[(&str, &[u8])] = &[("object", labels)];
-        let export = Export { extra, ..light::export(&self.scene, &self.model) };
+        let made_by = self.provenance(Vec::new()).value();
+        let provenance = Some(&made_by);
+        let export = Export { extra, provenance, ..light::export(&self.scene, &self.model) };
         let bytes = export.encode(SplatFormat::Ply, &self.in_colour(appearance)?);
         Ok(bytes.map_err(SceneError::io(self.folder.path()))?)
     }
 
-    /// The masks of named objects on all photos, as a COCO file with compressed run lengths, in pixels of the photos as taken.
-    /// `labels`: per splat, the number of its object from 1, 0 for none.
+    /// The masks of the objects of `provenance` on all photos, as a COCO file with compressed run lengths, in pixels of the photos as
+    /// taken. `labels`: per splat, the number of its object from 1, 0 for none.
     ///
     /// # Errors
     /// When the scene cannot be rendered, or `stopper` stops it.
     pub fn coco_masks(
         &self,
-        names: &[String],
+        provenance: ExportProvenance,
         labels: Vec<u8>,
         stopper: &Stopper,
     ) -> Result<Vec<u8>, RunError> {
-        coco_masks(&self.scene, &self.model, self.size(), names, labels, stopper)
+        coco_masks(&self.scene, &self.model, self.size(), provenance, labels, stopper)
     }
 
     /// The mask of a photo's transients, as taken; `None` where the photo has none.

@@ -89,6 +89,9 @@ pub struct Export<'a> {
     pub antialias: bool,
     /// More properties of each splat, for a `.ply`: a name, and a byte per splat.
     pub extra: &'a [(&'a str, &'a [u8])],
+    /// How the splats were made, as a JSON object. A `.glb` has all of it in `asset.extras`, as `provenance`; a `.ply` its words
+    /// `version` and `training` in a comment. `.spz` has no field for it.
+    pub provenance: Option<&'a serde_json::Value>,
 }
 
 impl Export<'_> {
@@ -107,7 +110,7 @@ impl Export<'_> {
     }
 
     /// The bytes of a file. Of a `.ply`, the header gives the render mode (`comment SplatRenderMode: mip`, or `default`) and, where
-    /// there is one, the offset (`comment offset X Y Z`).
+    /// there are any, the offset (`comment offset X Y Z`) and the provenance (`comment segwild version=V training=KEY`).
     ///
     /// # Errors
     /// When the compression of `.spz` fails.
@@ -122,11 +125,15 @@ impl Export<'_> {
                 if offset != DVec3::ZERO {
                     comments.push(format!("offset {} {} {}", offset.x, offset.y, offset.z));
                 }
+                comments.extend(self.provenance.map(comment));
                 to_bytes(&splats, self.extra, &comments)
             }
             SplatFormat::Spz => spz::to_bytes(&splats.half_turned(X), self.antialias)?,
             SplatFormat::Glb => {
-                let notes = json!({ "SplatRenderMode": mode, "offset": offset.to_array() });
+                let mut notes = json!({ "SplatRenderMode": mode, "offset": offset.to_array() });
+                if let Some(provenance) = self.provenance {
+                    notes["provenance"] = provenance.clone();
+                }
                 glb::to_bytes(&splats.half_turned(Z), &notes)
             }
         })
@@ -148,6 +155,19 @@ impl Export<'_> {
     pub fn note_offset(&self, path: &Path) -> Result<(), SceneError> {
         note(path, self.frame.offset())
     }
+}
+
+/// Longest word of a comment: some readers take lines of 1024 characters at most.
+const LONGEST_WORD: usize = 100;
+
+/// Provenance as a comment of a `.ply`: a line of ASCII, as its readers expect.
+fn comment(provenance: &serde_json::Value) -> String {
+    let plain = |c: char| if c.is_ascii_graphic() { c } else { '_' };
+    let word = |name: &str| {
+        let value: String = provenance[name].as_str()?.chars().take(LONGEST_WORD).map(plain).collect();
+        Some(format!(" {name}={value}"))
+    };
+    format!("segwild{}", ["version", "training"].into_iter().filter_map(word).collect::<String>())
 }
 
 /// The JSON beside a file whose positions have an offset.

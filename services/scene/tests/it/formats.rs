@@ -274,7 +274,7 @@ fn a_georeferenced_export_keeps_its_precision_by_an_offset() {
     for origin in [DVec3::new(448_262.3, 5_411_932.7, 35.0), DVec3::new(4_156_305.1, 671_404.6, -4_774_508.2)]
     {
         let frame = SceneFrame { origin, scale: 4.0 };
-        segwild_scene::Export { frame: &frame, antialias: true, extra: &[] }.write(&path, &s).unwrap();
+        segwild_scene::Export { frame: &frame, antialias: true, extra: &[], provenance: None }.write(&path, &s).unwrap();
         let (head, beside) = header_and_offset(&path);
         let offset = frame.offset();
         assert!(head.contains(&format!("comment offset {} {} {}\n", offset.x, offset.y, offset.z)), "{head}");
@@ -289,7 +289,7 @@ fn a_georeferenced_export_keeps_its_precision_by_an_offset() {
     }
     // Another scene into the same place: nothing of the old offset is left.
     let frame = SceneFrame { origin: DVec3::new(100.0, -20.0, 3.0), scale: 4.0 };
-    segwild_scene::Export { frame: &frame, antialias: false, extra: &[] }.write(&path, &s).unwrap();
+    segwild_scene::Export { frame: &frame, antialias: false, extra: &[], provenance: None }.write(&path, &s).unwrap();
     let (head, beside) = header_and_offset(&path);
     assert!(!head.contains("offset") && beside.is_none(), "{head}");
 }
@@ -302,7 +302,7 @@ fn an_export_names_its_render_mode_and_is_else_as_before() {
     ply::write_with(&plain, &s.to_file_frame(&frame), &[("label", &[1; 7])]).unwrap();
     let plain = std::fs::read(&plain).unwrap();
     for (antialias, mode) in [(true, "mip"), (false, "default")] {
-        segwild_scene::Export { frame: &frame, antialias, extra: &[("label", &[1; 7])] }
+        segwild_scene::Export { frame: &frame, antialias, extra: &[("label", &[1; 7])], provenance: None }
             .write(&path, &s)
             .unwrap();
         let comment = format!("comment SplatRenderMode: {mode}\n");
@@ -313,6 +313,33 @@ fn an_export_names_its_render_mode_and_is_else_as_before() {
         let (at, of) = (head.find(&comment).unwrap(), comment.len());
         assert!([&written[..at], &written[at + of..]].concat() == plain);
     }
+}
+
+#[test]
+fn an_export_holds_how_it_was_made_and_reads_as_without() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.ply");
+    let (s, frame) = (splats(7, 2), SceneFrame { origin: DVec3::new(1.0, 2.0, 3.0), scale: 2.5 });
+    // A line of its own would be part of the header.
+    let made_by = serde_json::json!({
+        "version": "1.2.3",
+        "training": "two words\nelement vertex 9",
+        "settings": { "train": { "steps": 7 } },
+    });
+    let export =
+        |provenance| segwild_scene::Export { frame: &frame, antialias: true, extra: &[], provenance };
+    export(None).write(&path, &s).unwrap();
+    let without = ply::read(&path).unwrap();
+    export(Some(&made_by)).write(&path, &s).unwrap();
+    let (head, _) = header_and_offset(&path);
+    let line = "\ncomment segwild version=1.2.3 training=two_words_element_vertex_9\nelement vertex 7\n";
+    assert!(head.contains(line), "{head}");
+    assert!(ply::read(&path).unwrap() == without);
+    let glb = export(Some(&made_by)).encode(segwild_scene::SplatFormat::Glb, &s).unwrap();
+    let length = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
+    let document: serde_json::Value = serde_json::from_slice(&glb[20..20 + length]).unwrap();
+    assert_eq!(document["asset"]["extras"]["provenance"], made_by);
+    assert_eq!(document["asset"]["extras"]["SplatRenderMode"], "mip");
 }
 
 proptest! {

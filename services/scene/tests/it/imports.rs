@@ -208,7 +208,7 @@ fn a_glb_that_this_program_wrote_comes_back() {
             sh: (0..3 * stride).map(|i| (i as f32).sin()).collect(),
         };
         for antialias in [true, false] {
-            Export { frame: &frame, antialias, extra: &[] }.write(&path, &splats).unwrap();
+            Export { frame: &frame, antialias, extra: &[], provenance: None }.write(&path, &splats).unwrap();
             let file = SplatFile::open(&path).unwrap();
             assert_eq!((file.layout, file.sh_degree), (SplatLayout::Glb, sh_degree));
             assert_eq!((file.writer.antialias, file.writer.up), (Some(antialias), Some(UpAxis::MinusY)));

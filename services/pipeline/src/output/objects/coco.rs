@@ -1,10 +1,11 @@
 //! COCO instance annotations with compressed run lengths, as pycocotools reads them.
 
+use crate::{ExportProvenance, ObjectProvenance};
 use segwild_scene::Mask;
 use serde::Serialize;
 
 /// A whole annotation file.
-#[derive(Debug, Default, Serialize)]
+#[derive(Debug, Serialize)]
 pub(super) struct CocoFile {
     pub info: CocoInfo,
     pub images: Vec<CocoImage>,
@@ -15,14 +16,23 @@ pub(super) struct CocoFile {
 /// Who wrote the file.
 #[derive(Debug, Serialize)]
 pub(super) struct CocoInfo {
-    pub description: String,
+    pub description: &'static str,
     pub version: &'static str,
+    pub provenance: ExportProvenance,
 }
 
-impl Default for CocoInfo {
-    fn default() -> Self {
-        let description = "objects of a splat scene, found without a click by segwild".into();
-        CocoInfo { description, version: env!("CARGO_PKG_VERSION") }
+impl CocoFile {
+    /// A file without photos; its categories are the objects of `provenance`, numbered from 1.
+    pub fn of(provenance: ExportProvenance) -> CocoFile {
+        let category = |(object, id): (&ObjectProvenance, usize)| CocoCategory {
+            id,
+            name: object.name.clone(),
+            supercategory: "object",
+        };
+        let categories = provenance.objects.iter().zip(1..).map(category).collect();
+        let description = "objects of a splat scene, by segwild";
+        let info = CocoInfo { description, version: env!("CARGO_PKG_VERSION"), provenance };
+        CocoFile { info, images: Vec::new(), categories, annotations: Vec::new() }
     }
 }
 

@@ -1,13 +1,13 @@
 //! All objects of a scene as files that other tools open.
 
 use super::bounds::bounds;
-use super::coco::{CocoAnnotation, CocoCategory, CocoFile, CocoImage, CocoRle};
-use super::list::{ListRequest, ListedObjects, SceneObject};
+use super::coco::{CocoAnnotation, CocoFile, CocoImage, CocoRle};
+use super::list::{ListRequest, ListedObjects};
 use super::npy::to_npy;
 use super::sheet;
 use crate::output::light;
 use crate::settings::AT_ONCE;
-use crate::{ExportFormat, RunError};
+use crate::{ExportFormat, ExportProvenance, RunError};
 use rayon::prelude::*;
 use segwild_flow::{Phase, Stopper, files};
 use segwild_raster::CpuEngine;
@@ -36,6 +36,7 @@ pub struct ExportedObjects {
 pub(crate) fn write_objects(
     request: &ListRequest,
     listed: &ListedObjects,
+    provenance: ExportProvenance,
     out: &Path,
     appearance: &str,
     format: ExportFormat,
@@ -47,15 +48,15 @@ pub(crate) fn write_objects(
     let writer = format.writer()?;
     let (scene, model) = (request.scene(), request.model);
     let in_colour = light::shown(scene, model, appearance)?;
-    let names: Vec<String> = listed.list.objects.iter().map(SceneObject::label).collect();
-    let coco = annotations(scene, model, request.photos.long_side(), &names, &listed.parts, stopper)?;
+    let made_by = provenance.value();
+    let coco = annotations(scene, model, request.photos.long_side(), provenance, &listed.parts, stopper)?;
     files::write_folder(out, |aside| -> Result<(), RunError> {
         let json = |name: &str, value: serde_json::Result<Vec<u8>>| -> Result<(), RunError> {
             let path = aside.join(name);
             let bytes = value.map_err(|e| RunError::Folder { path: path.clone(), reason: e.to_string() })?;
             Ok(files::write_atomic(&path, &bytes)?)
         };
-        let export = light::export(scene, model);
+        let export = Export { provenance: Some(&made_by), ..light::export(scene, model) };
         for object in &listed.list.objects {
             let holds = |i: &usize| usize::from(listed.parts.labels[*i]) == object.number;
             let splats: Vec<usize> = (0..in_colour.len()).filter(holds).collect();
@@ -73,36 +74,32 @@ pub(crate) fn write_objects(
     Ok(ExportedObjects { folder: out.to_owned(), objects, masks: coco.annotations.len() })
 }
 
-/// The masks of named objects on all photos, as the bytes of a COCO file. `labels`: per splat, the number of its object from 1,
-/// 0 for none. `size`: the long side at which masks are rendered, in pixels.
+/// The masks of the objects of `provenance` on all photos, as the bytes of a COCO file. `labels`: per splat, the number of its object
+/// from 1, 0 for none. `size`: the long side at which masks are rendered, in pixels.
 pub(crate) fn coco_masks(
     scene: &Scene,
     model: &Model,
     size: u32,
-    names: &[String],
+    provenance: ExportProvenance,
     labels: Vec<u8>,
     stopper: &Stopper,
 ) -> Result<Vec<u8>, RunError> {
     let parts = SceneParts { labels, ..SceneParts::default() };
-    let file = annotations(scene, model, size, names, &parts, stopper)?;
+    let file = annotations(scene, model, size, provenance, &parts, stopper)?;
     serde_json::to_vec(&file).map_err(|e| RunError::Request(e.to_string()))
 }
 
-/// The masks of named parts on all photos, in pixels of the photos as taken.
+/// The masks of the parts that `provenance` names on all photos, in pixels of the photos as taken.
 fn annotations(
     scene: &Scene,
     model: &Model,
     size: u32,
-    names: &[String],
+    provenance: ExportProvenance,
     parts: &SceneParts,
     stopper: &Stopper,
 ) -> Result<CocoFile, RunError> {
-    let mut file = CocoFile::default();
-    file.categories.extend(names.iter().zip(1..).map(|(name, id)| CocoCategory {
-        id,
-        name: name.clone(),
-        supercategory: "object",
-    }));
+    let objects = provenance.objects.len();
+    let mut file = CocoFile::of(provenance);
     let engine = CpuEngine::new();
     let views: Vec<usize> = (0..scene.views.len()).collect();
     // Masks have the photos' full size: only a few photos at once fit into memory.
@@ -115,7 +112,7 @@ fn annotations(
             let posed = PosedView { camera: view.camera.scaled_to(size), ..view.into() };
             let map = PartMap::render(&engine, &model.splats, &model.options(), &posed, parts)?;
             let counts = map.counts();
-            let present = (1..=names.len()).filter(|&number| counts.get(number) > Some(&0));
+            let present = (1..=objects).filter(|&number| counts.get(number) > Some(&0));
             let large = |number: usize| {
                 view.mask_to_taken(map.enlarged(number as u8, view.camera.width, view.camera.height))
             };

@@ -1,0 +1,39 @@
+//! What exported files say about how they were made.
+
+use crate::{Replay, Settings};
+use serde::Serialize;
+use serde_json::Value;
+
+/// How exported objects were made. `.glb` has it in `asset.extras`, COCO files in `info`, archives of masks as `provenance.json`;
+/// of a `.ply` a comment of the header has the version and the training.
+#[derive(Clone, Debug, Serialize)]
+pub struct ExportProvenance {
+    /// Version of segwild.
+    pub version: &'static str,
+    /// Key of the training that the scene is of; `null` where no ledger names it.
+    pub training: Option<String>,
+    /// The provider of masks: `built-in`, or `sam:` and a model's name.
+    pub provider: String,
+    /// The settings of the run, without paths of networks and addresses of services.
+    pub settings: Settings,
+    /// The exported objects; empty where the file is of the scene.
+    pub objects: Vec<ObjectProvenance>,
+}
+
+/// How an object was selected.
+#[derive(Clone, Debug, Serialize)]
+pub struct ObjectProvenance {
+    /// Its name.
+    pub name: String,
+    /// Its prompts and their settings, which select it again unless it was edited; `null` where tools alone selected it.
+    pub replay: Option<Replay>,
+    /// Whether tools changed it.
+    pub edited: bool,
+}
+
+impl ExportProvenance {
+    /// As JSON.
+    pub(crate) fn value(&self) -> Value {
+        serde_json::to_value(self).unwrap_or_default()
+    }
+}
