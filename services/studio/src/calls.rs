@@ -4,7 +4,7 @@ use crate::document::ObjectId;
 use crate::farm::{FarmRetryError, SeenFarm};
 use crate::messages::{RunEntry, StateMessage, StudioAction, TrainingMessage};
 use crate::runs::{Found, ServedRuns};
-use crate::studio::PhotoSearch;
+use crate::studio::{MaskArchive, PhotoSearch};
 use crate::{Studio, StudioError};
 use futures_util::StreamExt;
 use futures_util::stream::{self, BoxStream};
@@ -28,6 +28,9 @@ pub(crate) const JPEG: &str = "image/jpeg";
 
 /// Media type of the thumbnails.
 pub(crate) const PNG: &str = "image/png";
+
+/// Media type of archives.
+pub(crate) const ZIP: &str = "application/zip";
 
 /// Media type of packed numbers and of files to be saved.
 pub(crate) const OCTETS: &str = "application/octet-stream";
@@ -270,4 +273,38 @@ pub(crate) async fn changes(runs: &Runs, run: &str) -> Answered<(Vec<u8>, String
     let request = StopsWithRequest(Stopper::new());
     let stopper = request.0.clone();
     answered(runs, run, move |studio| studio.packed_changes(&stopper)).await
+}
+
+/// Masks of an object, or of all, as a COCO file, and the file's name.
+pub(crate) async fn coco(runs: &Runs, run: &str, object: Option<ObjectId>) -> Answered<(String, Vec<u8>)> {
+    let request = StopsWithRequest(Stopper::new());
+    let stopper = request.0.clone();
+    answered(runs, run, move |studio| studio.coco(object, &stopper)).await
+}
+
+/// Parts of a file that is made while it is sent.
+pub(crate) type MadeParts = BoxStream<'static, Result<Vec<u8>, StudioError>>;
+
+/// Masks of an object, or of all, as an archive in parts as the client takes them, and the file's name.
+pub(crate) async fn masks(
+    runs: &Runs,
+    run: &str,
+    object: Option<ObjectId>,
+) -> Answered<(String, MadeParts)> {
+    let request = StopsWithRequest(Stopper::new());
+    let stopper = request.0.clone();
+    let (name, archive) = answered(runs, run, move |studio| studio.mask_archive(object, stopper)).await?;
+    let next = |state: Option<(MaskArchive, StopsWithRequest)>| async move {
+        let (mut archive, request) = state?;
+        let made = tokio::task::spawn_blocking(move || {
+            let part = archive.next_part();
+            (part, archive)
+        });
+        match made.await {
+            Ok((part, archive)) => Some((part.transpose()?, Some((archive, request)))),
+            // An archive without its end would pass for a whole one.
+            Err(_) => Some((Err(StudioError::Request("the masks could not be made")), None)),
+        }
+    };
+    Ok((name, stream::unfold(Some((archive, request)), next).boxed()))
 }

@@ -54,6 +54,7 @@ mod runs;
 mod server;
 mod store;
 mod studio;
+mod zip;
 
 pub use farm::FarmSource;
 pub use openapi::openapi;

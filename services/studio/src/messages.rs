@@ -239,6 +239,11 @@ pub enum StudioAction {
         /// Whether they are cut.
         cut: bool,
     },
+    /// Ends the writing of an object as a selection: nothing of it is left. It is no operation, and is not undone.
+    StopSave {
+        /// The object.
+        id: ObjectId,
+    },
     /// Undoes the last operation.
     Undo,
     /// Does the last undone operation again.
@@ -389,6 +394,19 @@ pub struct StateMessage {
     pub redo: Option<&'static str>,
     /// Warnings, a sentence each.
     pub notes: Vec<String>,
+    /// Objects that are being written as selections.
+    pub saving: Vec<SavingMessage>,
+}
+
+/// How far the writing of an object is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct SavingMessage {
+    /// The object.
+    pub object: ObjectId,
+    /// Photos whose masks are written; 0 while the object is still selected.
+    pub done: usize,
+    /// All photos.
+    pub photos: usize,
 }
 
 /// An appearance between two.

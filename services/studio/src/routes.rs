@@ -1,6 +1,8 @@
 //! What the server answers to by HTTP: one table of requests, of which the router and the OpenAPI page are made.
 
-use crate::calls::{self, Answered, JPEG, OCTETS, PNG, Refusal, RefusalKind, Runs, SHOWN_SIZE, answered};
+use crate::calls::{
+    self, Answered, JPEG, MadeParts, OCTETS, PNG, Refusal, RefusalKind, Runs, SHOWN_SIZE, ZIP, answered,
+};
 use crate::messages::{FrameRequest, HoverRequest, PickRequest, StateMessage, StudioAction};
 use crate::page;
 use axum::body::{Body, Bytes};
@@ -100,7 +102,10 @@ pub(crate) const API: &[ApiRoute] = &[
     row(Get, "/runs/{run}/objects/{object}/prompts", &[], "ObjectPrompts", File(OCTETS), |m| on(m, prompts)),
     row(Post, "/runs/{run}/objects/{object}/save", &[], "Save", Message, |m| on(m, save)),
     row(Get, "/runs/{run}/export/labels.ply", &[], "LabelledPly", File(OCTETS), |m| on(m, labelled_ply)),
+    row(Get, "/runs/{run}/objects/{object}/coco.json", &[], "ObjectCoco", File(OCTETS), |m| on(m, object_coco)),
+    row(Get, "/runs/{run}/objects/{object}/masks.zip", &[], "ObjectMasks", File(ZIP), |m| on(m, object_masks)),
     row(Get, "/runs/{run}/export/coco.json", &[], "Coco", File(OCTETS), |m| on(m, coco)),
+    row(Get, "/runs/{run}/export/masks.zip", &[], "Masks", File(ZIP), |m| on(m, masks)),
 ];
 
 impl ApiMethod {
@@ -352,7 +357,37 @@ async fn labelled_ply(State(runs): State<Runs>, Path(run): Path<String>) -> Answ
 }
 
 async fn coco(State(runs): State<Runs>, Path(run): Path<String>) -> Answered<Response> {
-    Ok(attached("coco.json", answered(&runs, &run, |studio| studio.coco()).await?))
+    let (name, bytes) = calls::coco(&runs, &run, None).await?;
+    Ok(attached(&name, bytes))
+}
+
+async fn object_coco(
+    State(runs): State<Runs>,
+    Path((run, object)): Path<(String, String)>,
+) -> Answered<Response> {
+    let (name, bytes) = calls::coco(&runs, &run, Some(number(&object)?)).await?;
+    Ok(attached(&name, bytes))
+}
+
+async fn masks(State(runs): State<Runs>, Path(run): Path<String>) -> Answered<Response> {
+    let (name, parts) = calls::masks(&runs, &run, None).await?;
+    Ok(attached_parts(&name, parts))
+}
+
+async fn object_masks(
+    State(runs): State<Runs>,
+    Path((run, object)): Path<(String, String)>,
+) -> Answered<Response> {
+    let (name, parts) = calls::masks(&runs, &run, Some(number(&object)?)).await?;
+    Ok(attached_parts(&name, parts))
+}
+
+/// An archive to be saved, as it is made. A connection that breaks off says that it is not whole.
+fn attached_parts(file: &str, parts: MadeParts) -> Response {
+    let disposition = format!("attachment; filename=\"{file}\"");
+    let headers = [(header::CONTENT_TYPE, ZIP.into()), (header::CONTENT_DISPOSITION, disposition)];
+    let parts = parts.map(|part| part.map_err(|error| std::io::Error::other(error.to_string())));
+    (headers, Body::from_stream(parts)).into_response()
 }
 
 /// Answers with an object as a file of a format.

@@ -18,7 +18,7 @@ pub(crate) const MOST_FILES: usize = u16::MAX as usize - 1;
 
 /// An archive holds 4 GiB and 65,534 files at most.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("an archive holds 4 GiB and {MOST_FILES} files at most: export fewer objects at a time")]
+#[error("an archive holds 4 GiB and 65,534 files at most: export one object at a time")]
 pub(crate) struct ArchiveIsFull;
 
 /// Writes an archive part by part; only the list of its files stays in memory.

@@ -4,7 +4,10 @@ mod replies;
 mod requests;
 mod status;
 
-use crate::calls::{self, JPEG, OCTETS, PNG, Refusal, RefusalKind, Runs, SHOWN_SIZE, answered};
+use crate::StudioError;
+use crate::calls::{
+    self, JPEG, MadeParts, OCTETS, PNG, Refusal, RefusalKind, Runs, SHOWN_SIZE, ZIP, answered,
+};
 use futures_util::StreamExt;
 use futures_util::stream::{self, BoxStream};
 use requests::NoSuchRequest;
@@ -75,6 +78,22 @@ fn parts(bytes: Vec<u8>, media_type: &str, name: &str, version: String) -> Reply
     reply(stream::iter((0..count).map(part)).boxed())
 }
 
+/// A file that is made while it is sent.
+fn made_parts(made: MadeParts, media_type: &str, name: String) -> Reply<Replies<v1::FilePart>> {
+    let mut head = Some(v1::FilePart { name, media_type: media_type.into(), ..Default::default() });
+    let split = |part: Result<Vec<u8>, StudioError>| {
+        let pieces: Vec<Result<Vec<u8>, Status>> = match part {
+            Ok(bytes) => bytes.chunks(MOST_PART).map(|piece| Ok(piece.to_vec())).collect(),
+            Err(error) => vec![Err(Refusal::from(error).into())],
+        };
+        stream::iter(pieces)
+    };
+    let part = move |piece: Result<Vec<u8>, Status>| -> Result<v1::FilePart, Status> {
+        Ok(v1::FilePart { bytes: piece?, ..head.take().unwrap_or_default() })
+    };
+    reply(made.flat_map(split).map(part).boxed())
+}
+
 /// A file without a name or a version.
 fn unnamed(bytes: Vec<u8>, media_type: &str) -> Reply<Replies<v1::FilePart>> {
     parts(bytes, media_type, "", String::new())
@@ -98,6 +117,9 @@ impl Session for SessionService {
     type ObjectPromptsStream = Replies<v1::FilePart>;
     type LabelledPlyStream = Replies<v1::FilePart>;
     type CocoStream = Replies<v1::FilePart>;
+    type ObjectCocoStream = Replies<v1::FilePart>;
+    type MasksStream = Replies<v1::FilePart>;
+    type ObjectMasksStream = Replies<v1::FilePart>;
 
     async fn list(&self, _: Request<v1::ListRequest>) -> Reply<v1::ListResponse> {
         let runs = self.runs.list().into_iter().map(replies::entry).collect();
@@ -254,8 +276,25 @@ impl Session for SessionService {
     }
 
     async fn coco(&self, request: Request<v1::RunRequest>) -> Reply<Self::CocoStream> {
-        let bytes = answered(&self.runs, &request.get_ref().run, |studio| studio.coco()).await?;
-        parts(bytes, OCTETS, "coco.json", String::new())
+        let (name, bytes) = calls::coco(&self.runs, &request.get_ref().run, None).await?;
+        parts(bytes, OCTETS, &name, String::new())
+    }
+
+    async fn object_coco(&self, request: Request<v1::ObjectRequest>) -> Reply<Self::ObjectCocoStream> {
+        let v1::ObjectRequest { run, object } = request.into_inner();
+        let (name, bytes) = calls::coco(&self.runs, &run, Some(object)).await?;
+        parts(bytes, OCTETS, &name, String::new())
+    }
+
+    async fn masks(&self, request: Request<v1::RunRequest>) -> Reply<Self::MasksStream> {
+        let (name, made) = calls::masks(&self.runs, &request.get_ref().run, None).await?;
+        made_parts(made, ZIP, name)
+    }
+
+    async fn object_masks(&self, request: Request<v1::ObjectRequest>) -> Reply<Self::ObjectMasksStream> {
+        let v1::ObjectRequest { run, object } = request.into_inner();
+        let (name, made) = calls::masks(&self.runs, &run, Some(object)).await?;
+        made_parts(made, ZIP, name)
     }
 }
 

@@ -2,8 +2,8 @@
 
 use crate::messages::{
     AnswerMessage, AppearanceMessage, ConfidenceMessage, DraftMessage, LabelMap, ListedDescription,
-    ObjectMessage, PhotoConfidence, PhotoDescription, PickedPixel, RunDescription, RunEntry, ShownPrompts,
-    StateMessage, TrainingMessage,
+    ObjectMessage, PhotoConfidence, PhotoDescription, PickedPixel, RunDescription, RunEntry, SavingMessage,
+    ShownPrompts, StateMessage, TrainingMessage,
 };
 use segwild_pipeline::{AnswerStep, Moment};
 use segwild_proto::v1::{self, alternative, answer_step};
@@ -250,7 +250,13 @@ pub(super) fn state(state: StateMessage) -> v1::StateMessage {
         undo,
         redo,
         notes,
+        saving,
     } = state;
+    let save = |SavingMessage { object, done, photos }| v1::SavingMessage {
+        object,
+        done: small(done),
+        photos: small(photos),
+    };
     v1::StateMessage {
         revision,
         draft: Some(draft(requested)),
@@ -264,6 +270,7 @@ pub(super) fn state(state: StateMessage) -> v1::StateMessage {
         undo: undo.map(Into::into),
         redo: redo.map(Into::into),
         notes,
+        saving: saving.into_iter().map(save).collect(),
     }
 }
 

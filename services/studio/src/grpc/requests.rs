@@ -116,6 +116,7 @@ pub(super) fn action(what: Option<Do>) -> Parsed<StudioAction> {
             let how = how(v.how())?;
             StudioAction::Transients { photo: v.photo as usize, region: region(v.region)?, how }
         }
+        Do::StopSave(v) => StudioAction::StopSave { id: v.id },
         Do::CutSpikes(v) => StudioAction::CutSpikes { cut: v.cut },
         Do::Undo(_) => StudioAction::Undo,
         Do::Redo(_) => StudioAction::Redo,

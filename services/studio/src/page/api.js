@@ -31,7 +31,7 @@
  *   answer: {number: number, state: string, step: any, splats: number, alternatives: any[], error: string | null, seconds: number,
  *     confidence: Confidence | null, scores: number[]},
  *   objects: Item[], isolated: number | null, appearance: Appearance, corrected: number[], cut_spikes: boolean, changes: string,
- *   undo: string | null, redo: string | null, notes: string[]}} State
+ *   undo: string | null, redo: string | null, notes: string[], saving: {object: number, done: number, photos: number}[]}} State
  */
 
 /** A refusal by the server, in its words. */

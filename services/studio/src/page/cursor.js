@@ -8,7 +8,7 @@ import { drawStroke } from "./tools.js";
 /**
  * What a pane does for its cursor. Positions are pixels of `size`.
  * @typedef {object} CursorPane
- * @property {Element} stroke where a mark is drawn while it is made
+ * @property {Element} stroke where a mark shows while it is made
  * @property {() => {width: number, height: number}} size
  * @property {() => number} brush
  * @property {() => void} moved shows the cursor, and what a click there would select
@@ -97,7 +97,7 @@ export class Cursor {
     const { app } = this, before = app.state?.revision;
     await this.pane.region(tool, path, how);
     const item = app.selected() ?? app.state?.objects.at(-1);
-    // A refusal was said already.
+    // A refusal has its own message.
     if (app.state?.revision === before) return;
     app.say(app.transients ? text("marked_transients") : text("marked", item?.name ?? "", item?.splats ?? 0));
   }

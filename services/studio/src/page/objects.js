@@ -121,7 +121,7 @@ export class Side {
   objects() {
     const { app } = this, { state } = app;
     if (!state) return;
-    const key = JSON.stringify([state.objects, state.isolated, state.appearance, state.cut_spikes, app.item, this.renaming, app.photo]);
+    const key = JSON.stringify([state.objects, state.isolated, state.appearance, state.cut_spikes, state.saving, app.item, this.renaming, app.photo]);
     if (key === this.rendered.objects) return;
     this.rendered.objects = key;
     const focus = document.activeElement?.getAttribute("data-focus");
@@ -137,7 +137,7 @@ export class Side {
     parts.push(element("ul", {}, ...rows), spikes, this.blend());
     if (rows.length) {
       const file = (/** @type {string} */ name) => element("a", { href: `${app.run.base}/export/${name}`, download: "" }, name);
-      parts.push(element("p", { className: "row" }, text("exports"), file("labels.ply"), file("coco.json")));
+      parts.push(element("p", { className: "row" }, text("exports"), file("labels.ply"), file("coco.json"), file("masks.zip")));
     }
     of("objects").replaceChildren(...parts);
     if (focus) /** @type {HTMLElement | null} */ (document.querySelector(`[data-focus="${focus}"]`))?.focus();
@@ -161,7 +161,7 @@ export class Side {
       element("span", { className: "quiet" }, String(item.splats)));
     const small = (/** @type {string} */ id, /** @type {() => void} */ click, /** @type {Record<string, any>} */ more = {}) =>
       button(text(`short_${id}`), text(more.label ?? id, item.name), click, more);
-    const tools = element("div", { className: "row" },
+    const saving = state?.saving.find(save => save.object === item.id), tools = element("div", { className: "row" },
       small(item.visible ? "hide" : "show", () => act("show", { visible: !item.visible })),
       small("alone", () => act("isolate", { id: state?.isolated === item.id ? null : item.id }), { label: "isolate", "aria-pressed": state?.isolated === item.id }));
     tools.append(element("span", { className: "quiet" }, text("save_as")));
@@ -172,6 +172,10 @@ export class Side {
       tools.append(link);
     };
     for (const format of selected ? ["ply", "spz", "glb"] : ["ply"]) file(format, `.${format}`, text("export_file", item.name, format));
+    if (selected) {
+      file("masks.zip", text("short_masks"), text("export_masks", item.name));
+      file("coco.json", text("short_coco"), text("export_coco", item.name));
+    }
     if (selected && item.prompted && !item.edited) file("prompts", text("short_prompts"), text("save_prompts", item.name));
     if (selected) {
       const pair = (/** @type {string} */ how) => {
@@ -189,11 +193,18 @@ export class Side {
         small("copy", () => act("duplicate"), { label: "duplicate" }),
         small("grow", () => act("grow", { steps: 1 })),
         small("shrink", () => act("grow", { steps: -1 })),
-        ...(item.prompted && !item.edited ? [small("save", () => this.save(item))] : []),
+        ...(item.prompted && !item.edited && !saving ? [small("save", () => this.save(item))] : []),
         ...((state?.objects.length ?? 0) > 1 ? [pair("union"), pair("subtract")] : []),
         small("delete", () => act("delete"), { label: "remove" }));
     }
-    return element("li", { className: selected ? "selected" : "" }, head, tools);
+    const parts = [head, tools];
+    if (saving) {
+      parts.push(element("div", { className: "row" },
+        element("progress", { value: saving.done, max: saving.photos, "aria-label": text("saving", item.name) }),
+        element("span", { className: "quiet" }, text("saved_photos", saving.done, saving.photos)),
+        small("stop_save", () => act("stop_save"))));
+    }
+    return element("li", { className: selected ? "selected" : "" }, ...parts);
   }
 
   /** Chooses the appearance of the selected object, or of the scene where none is selected: from one to another. */
@@ -219,7 +230,7 @@ export class Side {
   /** Writes an object to the run's folder. @param {Item} item */
   async save(item) {
     const { app } = this;
-    app.say(text("saving", item.name), true);
+    app.say(text("saving", item.name));
     await app.run.save(item.id).then(({ selection }) => app.say(text("saved", selection)), error => app.failed(error));
   }
 

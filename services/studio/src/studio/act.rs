@@ -131,6 +131,7 @@ impl Studio {
                 self.paint_transients(state, photo, &region, how)?
             }
             StudioAction::CutSpikes { cut } => Operation::CutSpikes { cut },
+            StudioAction::StopSave { id } => return self.stop_save(state, id),
         };
         self.enter(state, JournalEntry::Apply(operation))
     }

@@ -49,14 +49,15 @@ impl Studio {
     }
 
     /// The whole answer to a query beside the one that a person waits for. A click ends it, and it starts again after
-    /// the click's answer: queries are answered one after the other.
+    /// the click's answer: queries are answered one after the other. `cancel` ends it for good, if whoever stops it stops
+    /// [`StudioState::aside`] as well.
     ///
     /// # Errors
     /// As [`Session::ask`] and [`segwild_pipeline::PendingAnswer::wait`].
-    pub(super) fn answer_aside(&self, replay: &Replay) -> Result<Answer, RunError> {
+    pub(super) fn answer_aside(&self, replay: &Replay, cancel: &Stopper) -> Result<Answer, RunError> {
         let settings = self.settings_of(replay);
         loop {
-            if self.stopper.phase() != Phase::Running {
+            if [&self.stopper, cancel].into_iter().any(|stopper| stopper.phase() != Phase::Running) {
                 return Err(RunError::Interrupted);
             }
             let state = self.state();
@@ -189,7 +190,7 @@ fn recover_one(studio: &Weak<Studio>, object: &KeptObject, of: Option<ObjectId>)
         return lost("a tool selected it, and the scene was trained again since");
     }
     let replay = studio.replay(&object.draft);
-    let answer = match studio.answer_aside(&replay) {
+    let answer = match studio.answer_aside(&replay, &Stopper::new()) {
         Ok(answer) => answer,
         Err(error) => return lost(&error.to_string()),
     };

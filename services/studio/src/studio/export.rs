@@ -2,9 +2,9 @@
 
 use super::state::{LOST, Studio, StudioError, mark};
 use super::writes::WriteQueue;
-use crate::document::ObjectId;
+use crate::document::{KeptObject, ObjectId};
 use segwild_flow::{FileError, Stopper, lock};
-use segwild_pipeline::{ObjectList, Selected};
+use segwild_pipeline::{ExportProvenance, ObjectList, ObjectProvenance, RunError, Selected};
 use segwild_scene::SplatFormat;
 use std::sync::Arc;
 use tokio::sync::oneshot;
@@ -52,9 +52,10 @@ impl Studio {
             let objects = state.document.objects();
             (objects.get(id)?.clone(), objects.appearance.clone())
         };
+        let provenance = self.provenance_of(std::slice::from_ref(&object));
         let appearance = object.appearance.unwrap_or(scene);
         let name = format!("{}.{format}", file_stem(&object.name));
-        Ok((name, self.session.object_file(&selected, &appearance, format)?))
+        Ok((name, self.session.object_file(&selected, &appearance, format, &provenance)?))
     }
 
     /// The prompts of an object as a file, and the file's name: `segwild segment --prompts` selects the object by it.
@@ -73,17 +74,36 @@ impl Studio {
         Ok((format!("{}.prompts.json", file_stem(&object.name)), text))
     }
 
-    /// The names of the kept objects, and per splat of the scene the number of its object from 1, 0 for none.
-    pub(super) fn numbered(&self) -> (Vec<String>, Vec<u8>) {
+    /// An object, or the kept objects, and per splat of the scene the number of its object from 1, 0 for none.
+    ///
+    /// # Errors
+    /// When there is no such object.
+    pub(super) fn numbered(&self, id: Option<ObjectId>) -> Result<(Vec<KeptObject>, Vec<u8>), StudioError> {
         let mut state = self.state();
-        let all = state.document.objects().all.clone();
+        let objects = state.document.objects();
+        let all = match id {
+            Some(id) => vec![objects.get(id)?.clone()],
+            None => objects.all.clone(),
+        };
         let mut labels = vec![0u8; self.session.model().splats.len()];
         for (object, number) in all.iter().zip(1..) {
-            if let Some(selected) = state.store.get(&object.selection) {
-                mark(&mut labels, &selected.labels, number);
+            match state.store.get(&object.selection) {
+                Some(selected) => mark(&mut labels, &selected.labels, number),
+                None if id.is_none() => {}
+                None => return Err(LOST),
             }
         }
-        (all.into_iter().map(|object| object.name).collect(), labels)
+        Ok((all, labels))
+    }
+
+    /// How files of these objects are made.
+    pub(super) fn provenance_of(&self, objects: &[KeptObject]) -> ExportProvenance {
+        let of = |object: &KeptObject| ObjectProvenance {
+            name: object.name.clone(),
+            replay: (!object.draft.is_empty()).then(|| self.replay(&object.draft)),
+            edited: object.edited,
+        };
+        self.session.provenance(objects.iter().map(of).collect())
     }
 
     /// The whole scene as a `.ply` whose property `object` numbers the kept objects.
@@ -92,22 +112,26 @@ impl Studio {
     /// When an appearance is gone.
     pub fn labelled_ply(&self) -> Result<Vec<u8>, StudioError> {
         let appearance = self.state().document.objects().appearance.clone();
-        Ok(self.session.labelled_ply(&self.numbered().1, &appearance)?)
+        Ok(self.session.labelled_ply(&self.numbered(None)?.1, &appearance)?)
     }
 
-    /// The masks of all kept objects on all photos, as a COCO file.
+    /// The masks of an object, or of all kept ones, on all photos, as a COCO file, and the file's name.
     ///
     /// # Errors
-    /// When the scene cannot be rendered.
-    pub fn coco(&self) -> Result<Vec<u8>, StudioError> {
-        let (names, labels) = self.numbered();
-        Ok(self.session.coco_masks(&names, labels, &Stopper::new())?)
+    /// When there is no such object, its splats are lost, the scene cannot be rendered, or `stopper` stops it.
+    pub fn coco(&self, id: Option<ObjectId>, stopper: &Stopper) -> Result<(String, Vec<u8>), StudioError> {
+        let (objects, labels) = self.numbered(id)?;
+        let name = id.and(objects.first()).map_or("coco.json".into(), |object| {
+            format!("{}.coco.json", file_stem(&object.name))
+        });
+        Ok((name, self.session.coco_masks(self.provenance_of(&objects), labels, stopper)?))
     }
 
-    /// Writes an object as a selection of the run, as `segwild segment` does; returns the selection's name.
+    /// Writes an object as a selection of the run, as `segwild segment` does; returns the selection's name. The state has how far it
+    /// is.
     ///
     /// # Errors
-    /// When tools made or changed the object, or a file cannot be written.
+    /// When tools made or changed the object, it is being written already, a file cannot be written, or a person stops it.
     pub fn save(&self, id: ObjectId) -> Result<String, StudioError> {
         let mut state = self.state();
         let object = state.document.objects().get(id)?.clone();
@@ -119,15 +143,22 @@ impl Studio {
         let name = file_stem(&object.name);
         let replay = self.replay(&object.draft);
         let selected = state.store.get(&object.selection);
+        let turn = self.start_save(&mut state, id)?;
         drop(state);
         let known = selected.and_then(|selected| lock(&self.kept).find(&replay, &selected));
         let answer = match known {
-            Some(answer) => answer,
-            None => Arc::new(self.answer_aside(&replay)?),
+            Some(answer) => Ok(answer),
+            None => self.answer_aside(&replay, turn.stopper()).map(Arc::new),
         };
-        let selection = name.as_str();
-        self.session.save(selection, &answer)?;
-        Ok(name)
+        let saved = answer.and_then(|answer| {
+            let progress = |done, photos| turn.progress(done, photos);
+            self.session.save_watched(&name, &answer, turn.stopper(), &progress)
+        });
+        match saved {
+            Ok(_) => Ok(name),
+            Err(RunError::Interrupted) => Err(StudioError::Request("the writing of this object was stopped")),
+            Err(error) => Err(error.into()),
+        }
     }
 
     /// [`Studio::save`], after the writes that were requested before. What is returned receives how it ended.
@@ -163,7 +194,7 @@ impl Studio {
 }
 
 /// An object's name as that of a file or a selection: other signs than letters, digits, dashes and dots become underscores.
-fn file_stem(name: &str) -> String {
+pub(super) fn file_stem(name: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
     name.chars().map(plain).collect()
 }

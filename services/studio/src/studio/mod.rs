@@ -2,16 +2,19 @@
 
 mod act;
 mod answer;
+mod archive;
 mod changes;
 mod export;
 mod hover;
 mod kept;
+mod saving;
 mod show;
 mod state;
 mod transients;
 mod turns;
 mod writes;
 
+pub(crate) use archive::MaskArchive;
 pub(crate) use show::{JPEG_QUALITY, PhotoSearch, three_planes};
 pub use state::{ANSWER_COLOUR, COLOURS, Studio, StudioError};
 
@@ -89,6 +92,7 @@ impl Studio {
             store,
             answer: GrowingAnswer::default(),
             aside: Stopper::new(),
+            saving: Vec::new(),
             revision: 1,
             notes,
         };
@@ -222,6 +226,7 @@ impl Studio {
             undo: state.document.undo_label(),
             redo: state.document.redo_label(),
             notes: state.notes.clone(),
+            saving: state.saving.iter().map(|save| save.message).collect(),
         }
     }
 

@@ -1,6 +1,7 @@
 //! What a run's session holds for all viewers.
 
 use super::kept::KeptAnswers;
+use super::saving::SaveInProgress;
 use super::turns::ProviderTurns;
 use super::writes::WriteQueue;
 use crate::document::{Document, DocumentError, Journal, JournalError};
@@ -65,6 +66,8 @@ pub(super) struct StudioState {
     pub(super) answer: GrowingAnswer,
     /// Ends answers that nobody looks at, once a person asks for one.
     pub(super) aside: Stopper,
+    /// Objects that are being written.
+    pub(super) saving: Vec<SaveInProgress>,
     pub(super) revision: u64,
     pub(super) notes: Vec<String>,
 }

@@ -194,13 +194,13 @@ test("the keyboard alone sets a box, marks by tools and clicks in the 3D view", 
   const press = async (key, times) => {
     for (let k = 0; k < times; k++) await page.keyboard.press(key);
   };
-  const heard = () => page.locator("#message").textContent();
+  const message = () => page.locator("#message").textContent();
   await page.locator("#stage").focus();
   // A box by two corners. The first one is dropped by Escape.
   await page.keyboard.press("k");
-  assert.match(await heard() ?? "", /^Box: a corner at 50 %, 50 %/);
+  assert.match(await message() ?? "", /^Box: a corner at 50 %, 50 %/);
   await page.keyboard.press("Escape");
-  assert.match(await heard() ?? "", /dropped/);
+  assert.match(await message() ?? "", /dropped/);
   await press("ArrowLeft", 6);
   await press("ArrowUp", 6);
   await page.keyboard.press("k");
@@ -219,7 +219,7 @@ test("the keyboard alone sets a box, marks by tools and clicks in the 3D view", 
   // The cursor says where it is.
   await page.keyboard.press("ArrowLeft");
   await until(page, () => document.getElementById("message")?.textContent?.startsWith("Cursor at 60 % from the left, 62 % from the top."));
-  // A lasso makes an object, and a rectangle takes a part of it away.
+  // A lasso makes an object, and a rectangle takes a part out of it.
   await page.keyboard.press("3");
   await page.keyboard.press("Space");
   await press("ArrowLeft", 10);

@@ -129,8 +129,16 @@ fn a_program_clicks_keeps_and_exports_by_grpc() {
         );
         assert!(bytes.starts_with(b"ply\n"));
         let of_object = v1::ObjectRequest { run: name.clone(), object };
-        let pixels = client.object_photos(of_object).await.unwrap().into_inner().pixels;
+        let pixels = client.object_photos(of_object.clone()).await.unwrap().into_inner().pixels;
         assert!(pixels.len() == description.photos.len() && pixels[photo as usize] > 0);
+
+        // Its masks: two of each photo, and how they were made.
+        let (first, zip) = file(client.object_masks(of_object).await).await;
+        assert_eq!((first.name.as_str(), first.media_type.as_str()), ("statue.masks.zip", "application/zip"));
+        let count = |wanted: &[u8]| zip.windows(wanted.len()).filter(|bytes| *bytes == wanted).count();
+        assert_eq!(count(b"PK\x01\x02"), 2 * description.photos.len() + 1);
+        assert!(count(b"amodal/") == 2 * description.photos.len() && count(b"\"replay\"") == 1);
+        assert_eq!(zip[zip.len() - 22..][..4], *b"PK\x05\x06");
 
         // A view of the scene, and back to a photo.
         let seen = description.photos[photo as usize].clone();

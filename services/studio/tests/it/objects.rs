@@ -2,7 +2,7 @@
 
 use crate::common::{answered, click, keep, open, run, trained, until};
 use segwild_flow::Stopper;
-use segwild_pipeline::{PhotoPrompts, ShownParts, ShownScene, segment};
+use segwild_pipeline::{PhotoPrompts, RunError, ShownParts, ShownScene, segment};
 use segwild_scene::{Prompts, SplatFormat};
 use segwild_studio::messages::{
     ANSWER_LABEL, ANSWER_OBJECT, FrameRequest, HIDDEN_LABEL, HoverRequest, PickRequest, ShownPrompts,
@@ -453,10 +453,31 @@ fn all_objects_are_exported_as_labels_masks_and_selections_of_the_run() {
     keep(&studio, 1, "second").unwrap();
     let labels = studio.labelled_ply().unwrap();
     assert!(String::from_utf8_lossy(&labels[..2000]).contains("property uchar object"));
-    let coco: serde_json::Value = serde_json::from_slice(&studio.coco().unwrap()).unwrap();
+    let masks_of = |id| -> serde_json::Value {
+        let (_, file) = studio.coco(id, &Stopper::new()).unwrap();
+        serde_json::from_slice(&file).unwrap()
+    };
+    let coco = masks_of(None);
     let names: Vec<_> = coco["categories"].as_array().unwrap().iter().map(|c| c["name"].clone()).collect();
     assert_eq!(names, ["the first", "second"]);
     assert!(coco["annotations"].as_array().unwrap().len() > 4);
+    let made_by = &coco["info"]["provenance"];
+    assert_eq!(made_by["training"].as_str(), studio.session().training());
+    assert!(made_by["provider"] == "built-in" && made_by["settings"]["train"]["steps"] == 250);
+    let photo = &made_by["objects"][1]["replay"]["prompts"][0]["photo"];
+    assert_eq!(photo.as_str(), Some(trained().clicks[1].0.as_str()));
+    // One of them alone.
+    let second = masks_of(Some(2));
+    assert_eq!(second["categories"].as_array().unwrap().len(), 1);
+    let masks = second["annotations"].as_array().unwrap();
+    assert!(masks.len() > 2 && masks.iter().all(|mask| mask["category_id"] == 1), "{masks:?}");
+    assert!(studio.coco(Some(9), &Stopper::new()).is_err());
+    let stopped = Stopper::new();
+    stopped.stop();
+    assert!(studio.coco(None, &stopped).is_err());
+    let head = String::from_utf8_lossy(&ply(&studio, 1)[..400]).into_owned();
+    let training = studio.session().training().unwrap();
+    assert!(head.contains(&format!("comment segwild version={} training={training}\n", env!("CARGO_PKG_VERSION"))));
     assert_eq!(studio.save(1).unwrap(), "the_first");
     let saved = std::fs::read(folder.selection("the_first").join("object.ply")).unwrap();
     assert!(saved == ply(&studio, 1));
@@ -487,4 +508,33 @@ fn all_objects_are_exported_as_labels_masks_and_selections_of_the_run() {
     studio.act(StudioAction::Grow { id: 2, steps: 1 }).unwrap();
     assert!(studio.save(2).is_err(), "no prompts make what a tool changed");
     assert!(studio.prompts_file(2).is_err() && studio.prompts_file(9).is_err());
+}
+
+#[test]
+fn a_save_counts_its_photos_and_leaves_nothing_where_it_is_stopped() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    let session = studio.session();
+    let (photo, [x, y]) = trained().clicks[0].clone();
+    let prompts = [PhotoPrompts { photo, prompts: Prompts::click(x, y) }];
+    let settings = folder.settings().unwrap().segment;
+    let pending = session.ask(&prompts.as_slice().into(), &settings, &Stopper::new()).unwrap();
+    let answer = pending.wait(|_, _| ()).unwrap();
+    let (stopper, last) = (Stopper::new(), std::cell::Cell::new((0, 0)));
+    let watch = |done, photos| {
+        last.set((done, photos));
+        stopper.stop();
+    };
+    assert!(matches!(session.save_watched("one", &answer, &stopper, &watch), Err(RunError::Interrupted)));
+    let photos = session.scene().views.len();
+    assert!(0 < last.get().0 && last.get().0 < photos && last.get().1 == photos, "{last:?}");
+    assert!(!folder.selection("one").exists());
+    let watch = |done, photos| last.set((done, photos));
+    session.save_watched("one", &answer, &Stopper::new(), &watch).unwrap();
+    assert_eq!(last.get(), (photos, photos));
+    let made_by = std::fs::read(folder.selection("one").join("provenance.json")).unwrap();
+    let made_by: serde_json::Value = serde_json::from_slice(&made_by).unwrap();
+    assert_eq!(made_by["objects"][0]["name"], "one");
+    // What is not being written is not stopped, and what is over shows no more.
+    assert!(studio.act(StudioAction::StopSave { id: 1 }).is_err() && studio.message().saving.is_empty());
 }

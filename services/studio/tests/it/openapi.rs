@@ -5,7 +5,8 @@ use segwild_farm::{EmbeddedEngine, FarmLogState, Job, JobEngine, Needs, WorkerOf
 use segwild_monitor::view::FarmTarget;
 use segwild_monitor::{MonitorTarget, MonitorView};
 use segwild_studio::messages::{
-    FrameRequest, HoverRequest, PickRequest, RunEntry, StudioAction, TrainingMessage, ViewMessage,
+    FrameRequest, HoverRequest, PickRequest, RunEntry, SavingMessage, StudioAction, TrainingMessage,
+    ViewMessage,
 };
 use segwild_studio::openapi;
 use serde::Serialize;
@@ -116,6 +117,7 @@ fn what_is_answered_is_what_the_document_describes() {
     let state = answered(&studio);
     assert!(state.answer.step.is_some() && state.objects[0].appearance.is_some(), "nothing is left open");
     check(&page, "StateMessage", &state);
+    check(&page, "SavingMessage", &SavingMessage { object: 1, done: 2, photos: 3 });
     check(&page, "LabelMap", &studio.labels(0).unwrap());
     let (photo, [x, y]) = trained().clicks[0].clone();
     let photo = studio.session().scene().view_named(&photo).unwrap();
@@ -191,6 +193,7 @@ fn what_is_requested_is_what_the_document_describes() {
         json!({ "do": "appearance", "id": null, "photo": 1, "towards": null, "share": 0.5 }),
         json!({ "do": "transients", "photo": 0, "region": polygon, "how": "subtract" }),
         json!({ "do": "cut_spikes", "cut": true }),
+        json!({ "do": "stop_save", "id": 1 }),
         json!({ "do": "undo" }),
         json!({ "do": "redo" }),
     ];
