@@ -1,6 +1,6 @@
 //! Objects that are being written as selections: how far each is, and its end.
 
-use super::state::{Studio, StudioError, StudioState};
+use super::state::{SaveInProgress, Studio, StudioError, StudioState};
 use crate::document::ObjectId;
 use crate::messages::SavingMessage;
 use segwild_flow::Stopper;
@@ -8,14 +8,6 @@ use std::time::{Duration, Instant};
 
 /// Time between two messages how far a save is.
 const PAUSE: Duration = Duration::from_millis(250);
-
-/// An object that is being written.
-pub(super) struct SaveInProgress {
-    pub(super) message: SavingMessage,
-    stopper: Stopper,
-    /// When viewers were last sent how far it is.
-    sent: Instant,
-}
 
 /// The save of an object; it is over when this is dropped.
 pub(super) struct SaveTurn<'a> {

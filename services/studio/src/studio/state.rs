@@ -1,12 +1,11 @@
 //! What a run's session holds for all viewers.
 
 use super::kept::KeptAnswers;
-use super::saving::SaveInProgress;
 use super::turns::ProviderTurns;
 use super::writes::WriteQueue;
 use crate::document::{Document, DocumentError, Journal, JournalError};
 use crate::fronts::FrontMaps;
-use crate::messages::AnswerMessage;
+use crate::messages::{AnswerMessage, SavingMessage};
 use crate::photo_splats::PhotoSplats;
 use crate::store::SelectionStore;
 use segwild_flow::{FileError, Stopper, lock};
@@ -15,6 +14,7 @@ use segwild_scene::SceneError;
 use segwild_segmenter::{NeighbourGraph, SegmentSettings};
 use std::sync::atomic::{AtomicBool, AtomicUsize};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
+use std::time::Instant;
 use tokio::sync::watch;
 
 /// Colours of objects, sRGB: apart from one another for most eyes, and from the answer's.
@@ -70,6 +70,14 @@ pub(super) struct StudioState {
     pub(super) saving: Vec<SaveInProgress>,
     pub(super) revision: u64,
     pub(super) notes: Vec<String>,
+}
+
+/// An object that is being written as a selection.
+pub(super) struct SaveInProgress {
+    pub(super) message: SavingMessage,
+    pub(super) stopper: Stopper,
+    /// When viewers were last sent how far it is.
+    pub(super) sent: Instant,
 }
 
 /// A run's session with its objects.

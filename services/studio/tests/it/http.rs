@@ -123,7 +123,11 @@ fn requests_name_no_path_and_no_run_that_is_not_listed() {
         assert!(is(&get(&server, path), 404), "{path}: {}", get(&server, path));
     }
     assert!(is(&get(&server, &format!("/api/v1/runs/{name}/photos/999")), 400));
-    assert!(is(&get(&server, &format!("/api/v1/runs/{name}/objects/9/ply")), 409));
+    for file in ["ply", "masks.zip", "coco.json"] {
+        assert!(is(&get(&server, &format!("/api/v1/runs/{name}/objects/9/{file}")), 409), "{file}");
+    }
+    let none = get(&server, &format!("/api/v1/runs/{name}/export/masks.zip"));
+    assert!(is(&none, 200) && none.contains("application/zip") && none.contains("provenance.json"), "{none}");
     let act = format!("/api/v1/runs/{name}/act");
     for body in [
         "",
