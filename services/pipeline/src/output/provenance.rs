@@ -1,15 +1,18 @@
 //! What exported files say about how they were made.
 
 use crate::{Replay, Settings};
+use segwild_scene::Splats;
 use serde::Serialize;
 use serde_json::Value;
 
 /// How exported objects were made. `.glb` has it in `asset.extras`, COCO files in `info`, archives of masks as `provenance.json`;
-/// of a `.ply` a comment of the header has the version and the training.
+/// of a `.ply` a comment of the header has the version and the scene.
 #[derive(Clone, Debug, Serialize)]
 pub struct ExportProvenance {
     /// Version of segwild.
     pub version: &'static str,
+    /// Hash of the scene's splats: equal scenes have the same, whoever made the masks.
+    pub scene: String,
     /// Key of the training that the scene is of; `null` where no ledger names it.
     pub training: Option<String>,
     /// The provider of masks: `built-in`, or `sam:` and a model's name.
@@ -18,6 +21,26 @@ pub struct ExportProvenance {
     pub settings: Settings,
     /// The exported objects; empty where the file is of the scene.
     pub objects: Vec<ObjectProvenance>,
+}
+
+/// Numbers that are hashed at a time.
+const AT_A_TIME: usize = 1 << 16;
+
+/// The hash of a scene's splats, as 32 hexadecimal digits.
+pub(crate) fn scene_digest(splats: &Splats) -> String {
+    let mut hasher = blake3::Hasher::new();
+    let mut add = |numbers: &[f32]| {
+        for some in numbers.chunks(AT_A_TIME) {
+            let bytes: Vec<u8> = some.iter().flat_map(|number| number.to_le_bytes()).collect();
+            hasher.update(&bytes);
+        }
+    };
+    add(splats.means.as_flattened());
+    add(splats.log_scales.as_flattened());
+    add(splats.rotations.as_flattened());
+    add(&splats.opacities);
+    add(&splats.sh);
+    hasher.finalize().to_hex()[..32].to_owned()
 }
 
 /// How an object was selected.

@@ -7,6 +7,7 @@ use crate::artifacts::selected::Selected;
 use crate::output::cover::cover;
 use crate::output::light::{self, BlendedAppearance};
 use crate::output::objects::coco_masks;
+use crate::output::provenance::scene_digest;
 use crate::output::render::{HIGHLIGHT, over_white};
 use crate::{ExportProvenance, ObjectProvenance, PhotoPrompts, RunError, transients};
 use segwild_flow::Stopper;
@@ -303,6 +304,7 @@ impl Session {
         settings.vision.code_mut().into_iter().for_each(String::clear);
         ExportProvenance {
             version: env!("CARGO_PKG_VERSION"),
+            scene: scene_digest(&self.model.splats),
             training: self.training.clone(),
             provider: self.providers.name.clone(),
             settings,

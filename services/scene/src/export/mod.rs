@@ -90,7 +90,7 @@ pub struct Export<'a> {
     /// More properties of each splat, for a `.ply`: a name, and a byte per splat.
     pub extra: &'a [(&'a str, &'a [u8])],
     /// How the splats were made, as a JSON object. A `.glb` has all of it in `asset.extras`, as `provenance`; a `.ply` its words
-    /// `version` and `training` in a comment. `.spz` has no field for it.
+    /// `version` and `scene` in a comment. `.spz` has no field for it.
     pub provenance: Option<&'a serde_json::Value>,
 }
 
@@ -110,7 +110,7 @@ impl Export<'_> {
     }
 
     /// The bytes of a file. Of a `.ply`, the header gives the render mode (`comment SplatRenderMode: mip`, or `default`) and, where
-    /// there are any, the offset (`comment offset X Y Z`) and the provenance (`comment segwild version=V training=KEY`).
+    /// there are any, the offset (`comment offset X Y Z`) and the provenance (`comment segwild version=V scene=HASH`).
     ///
     /// # Errors
     /// When the compression of `.spz` fails.
@@ -167,7 +167,7 @@ fn comment(provenance: &serde_json::Value) -> String {
         let value: String = provenance[name].as_str()?.chars().take(LONGEST_WORD).map(plain).collect();
         Some(format!(" {name}={value}"))
     };
-    format!("segwild{}", ["version", "training"].into_iter().filter_map(word).collect::<String>())
+    format!("segwild{}", ["version", "scene"].into_iter().filter_map(word).collect::<String>())
 }
 
 /// The JSON beside a file whose positions have an offset.

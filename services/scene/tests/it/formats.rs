@@ -323,7 +323,7 @@ fn an_export_holds_how_it_was_made_and_reads_as_without() {
     // A line of its own would be part of the header.
     let made_by = serde_json::json!({
         "version": "1.2.3",
-        "training": "two words\nelement vertex 9",
+        "scene": "two words\nelement vertex 9",
         "settings": { "train": { "steps": 7 } },
     });
     let export =
@@ -332,7 +332,7 @@ fn an_export_holds_how_it_was_made_and_reads_as_without() {
     let without = ply::read(&path).unwrap();
     export(Some(&made_by)).write(&path, &s).unwrap();
     let (head, _) = header_and_offset(&path);
-    let line = "\ncomment segwild version=1.2.3 training=two_words_element_vertex_9\nelement vertex 7\n";
+    let line = "\ncomment segwild version=1.2.3 scene=two_words_element_vertex_9\nelement vertex 7\n";
     assert!(head.contains(line), "{head}");
     assert!(ply::read(&path).unwrap() == without);
     let glb = export(Some(&made_by)).encode(segwild_scene::SplatFormat::Glb, &s).unwrap();

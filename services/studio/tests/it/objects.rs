@@ -476,8 +476,9 @@ fn all_objects_are_exported_as_labels_masks_and_selections_of_the_run() {
     stopped.stop();
     assert!(studio.coco(None, &stopped).is_err());
     let head = String::from_utf8_lossy(&ply(&studio, 1)[..400]).into_owned();
-    let training = studio.session().training().unwrap();
-    assert!(head.contains(&format!("comment segwild version={} training={training}\n", env!("CARGO_PKG_VERSION"))));
+    let scene = made_by["scene"].as_str().unwrap();
+    let line = format!("comment segwild version={} scene={scene}\n", env!("CARGO_PKG_VERSION"));
+    assert!(head.contains(&line), "{head}");
     assert_eq!(studio.save(1).unwrap(), "the_first");
     let saved = std::fs::read(folder.selection("the_first").join("object.ply")).unwrap();
     assert!(saved == ply(&studio, 1));
