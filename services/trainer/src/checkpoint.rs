@@ -39,7 +39,7 @@ impl Checkpoint {
     pub fn model(&self) -> Result<Model, TrainError> {
         self.state.check(self.names.len())?;
         let settings = settings_of(&self.settings)?;
-        Ok(model_of(&self.state, self.names.clone(), settings.antialias))
+        Ok(model_of(&self.state, self.names.clone(), &settings))
     }
 }
 
@@ -55,7 +55,8 @@ fn settings_of(named: &[(String, String)]) -> Result<TrainSettings, TrainError> 
 }
 
 /// The scene of a training's state. Views are named by `names`.
-fn model_of(state: &TrainState, names: Vec<String>, antialias: bool) -> Model {
+fn model_of(state: &TrainState, names: Vec<String>, settings: &TrainSettings) -> Model {
+    let views = state.trained_views(settings.blocks);
     let mut appearance = state.appearance.clone();
     let known = (0..names.len()).filter(|&v| state.backgrounds[v].is_some());
     appearances::set_mean(&mut appearance, names.len(), known);
@@ -68,12 +69,12 @@ fn model_of(state: &TrainState, names: Vec<String>, antialias: bool) -> Model {
         appearance,
         backgrounds: state.backgrounds.clone(),
         names,
-        trained_on: state.sampler.views().iter().map(|&v| v as u32).collect(),
+        trained_on: views.iter().map(|&v| v as u32).collect(),
         transient_shares: state.robust.shares().to_vec(),
         transient_evidence: state.robust.evidence().to_vec(),
         refined_poses: state.refined.clone(),
-        antialias,
-        stats: Stats { step: state.step, psnr: mean_quality(&state.sampler.views(), &state.quality) },
+        antialias: settings.antialias,
+        stats: Stats { step: state.step, psnr: mean_quality(&views, &state.quality) },
     }
 }
 
@@ -101,8 +102,8 @@ impl Trainer {
         let state = checkpoint.state;
         // Points' colours are needed at the first step of a photo.
         let unseen = state.sampler.views().iter().any(|&view| state.backgrounds[view].is_none());
-        let scene = if unseen { coloured(scene, &mut photos, &|| false)? } else { Cow::Borrowed(scene) };
-        Ok(Trainer::of_state(engine, settings, schedule, posed(&scene), photos, state))
+        let shown = if unseen { coloured(scene, &mut photos, &|| false)? } else { Cow::Borrowed(scene) };
+        Ok(Trainer::of_state(engine, settings, schedule, posed(&shown), photos, state).divided(scene))
     }
 
     /// Everything needed to continue later.
@@ -121,7 +122,7 @@ impl Trainer {
     pub fn snapshot(&mut self) -> Result<Model, TrainError> {
         self.download()?;
         let names = self.views.iter().map(|v| v.name.clone()).collect();
-        Ok(model_of(&self.state, names, self.settings.antialias))
+        Ok(model_of(&self.state, names, &self.settings))
     }
 
     /// Does the steps that are left, then hands the scene over.

@@ -85,8 +85,21 @@ pub(crate) fn initial_splats(
         }
         distances = knn::nearest(&positions, 3).mean_distances();
     }
-    let n = positions.len();
     let pixel = upper_median(pixels.clone()).expect("there are points, if random ones");
+    let splats = first_splats(positions, &colours, &pixels, &distances, sh_degree);
+    Initial { splats, pixel, warnings }
+}
+
+/// First splats at points. `pixels`: scene units per pixel of the nearest photo at each; `distances`: its mean distance to its three
+/// neighbours.
+pub(crate) fn first_splats(
+    positions: Vec<[f32; 3]>,
+    colours: &[[f32; 3]],
+    pixels: &[f32],
+    distances: &[f32],
+    sh_degree: u32,
+) -> Splats {
+    let n = positions.len();
     let stride = 3 * (sh_degree as usize + 1).pow(2);
     let mut sh = vec![0.0; n * stride];
     for (i, c) in colours.iter().enumerate() {
@@ -96,18 +109,17 @@ pub(crate) fn initial_splats(
     }
     let log_scales = distances
         .iter()
-        .zip(&pixels)
+        .zip(pixels)
         .map(|(&d, &px)| [(d * INITIAL_SCALE).clamp(0.3 * px, 16.0 * px).ln(); 3])
         .collect();
-    let splats = Splats {
+    Splats {
         means: positions,
         log_scales,
         rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
         opacities: vec![logit(INITIAL_OPACITY); n],
         sh_degree,
         sh,
-    };
-    Initial { splats, pixel, warnings }
+    }
 }
 
 /// Standard deviation of a first splat, in mean distances to its three neighbours.

@@ -62,6 +62,8 @@
 mod actor;
 mod alignment;
 mod appearances;
+mod block_training;
+mod blocks;
 mod camera_motion;
 mod checkpoint;
 mod choice;
@@ -99,6 +101,7 @@ mod trainer;
 mod transients;
 
 pub use actor::{FindCheckpoint, TrainActor, TrainOrder, TrainOutcome};
+pub use blocks::trained_share;
 pub use checkpoint::Checkpoint;
 pub use choice::{
     APPEARANCE_MODELS, AppearanceChoice, BudgetChoice, SIZE as CHOICE_SIZE, ShortFit, Tracks,

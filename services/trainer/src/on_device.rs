@@ -21,9 +21,11 @@ impl Trainer {
     }
 
     /// Uploads the splats to the device, and the appearance model's networks with them, unless the strategy works on
-    /// single splats at every step, or LPIPS is in the loss, which the host computes from the render.
+    /// single splats at every step, or LPIPS is in the loss, which the host computes from the render, or a block is trained: the
+    /// device has moments for all splats or none.
     pub(crate) fn upload(&mut self) -> Result<(), TrainError> {
-        if self.is_on_device() || !self.may_upload || self.settings.lambda_lpips > 0.0 {
+        let part = self.photos_are_fixed() || self.state.params.trained() < self.state.params.splats.len();
+        if self.is_on_device() || !self.may_upload || self.settings.lambda_lpips > 0.0 || part {
             return Ok(());
         }
         let Some(stats) = self.state.strategy.as_dyn().stats() else { return Ok(()) };
@@ -95,7 +97,7 @@ impl Trainer {
         let step = self.state.step;
         let rates = self.rates(step);
         let (settings, schedule, posed) = (&self.settings, &self.schedule, &self.views[view]);
-        let (params, _, mut side) = self.state.halves(view);
+        let (params, _, mut side) = self.state.halves(view, false);
         let background = side.scene_background(view);
         let rules = match &mut *side.appearance {
             AnyAppearance::Gsw(appearance) => Some(appearance.advance(schedule.late_factor(step))),

@@ -33,6 +33,8 @@ pub(crate) struct PhotoSide<'a> {
     pub step: u32,
     /// Until this step residuals are no evidence of transients.
     pub pause_until: u32,
+    /// Whether appearance and background stay as they are.
+    pub fixed: bool,
 }
 
 impl PhotoSide<'_> {
@@ -96,6 +98,9 @@ impl PhotoSide<'_> {
         *self.quality = Some(output.psnr);
         if let Some(residuals) = &output.residuals {
             self.robust.update(step_photo.view, residuals.clone());
+        }
+        if self.fixed {
+            return;
         }
         if let (AnyAppearance::Affine(appearance), Some(grad)) = (&mut *self.appearance, &output.matrix) {
             appearance.add_gradient(step_photo.view, grad);

@@ -34,7 +34,7 @@ impl Trainer {
         let stereo = stereo_points::points(start, &mut cache, &settings, &found.masks, stopping)?;
         let robust = ResidualHistograms::new(found.robust_shares(&settings), found.shares.clone());
         let mut trainer =
-            Trainer::start(engine, start, cache, settings, 0, &stereo)?.with_poses(scene, poses);
+            Trainer::start(engine, start, cache, settings, 0, &stereo)?.with_poses(scene, poses).divided(scene);
         trainer.initial_transient_share = found.mean_share();
         trainer.state.initial_transients = found.masks;
         trainer.state.robust = robust;

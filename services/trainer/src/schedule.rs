@@ -1,6 +1,7 @@
 //! What changes over a run, as functions of the share of steps done.
 
 use crate::TrainSettings;
+use crate::blocks::{BlockPart, BlockTurn};
 
 /// How far the learning rate of the centres falls.
 const MEAN_DECAY: f32 = 0.01;
@@ -19,6 +20,8 @@ const PHOTOS_PER_STEP: f64 = 1.0 / 3.0;
 /// Schedules of one run.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Schedule {
+    /// The step of the training at which it starts.
+    first: u32,
     steps: u32,
     coarse: f32,
     splat_embedding_from: f32,
@@ -30,7 +33,19 @@ pub(crate) struct Schedule {
 impl Schedule {
     pub fn new(settings: &TrainSettings) -> Schedule {
         let &TrainSettings { steps, coarse, splat_embedding_from, sh_degree, .. } = settings;
-        Schedule { steps, coarse, splat_embedding_from, sh_degree, finest: 0 }
+        Schedule { first: 0, steps, coarse, splat_embedding_from, sh_degree, finest: 0 }
+    }
+
+    /// The schedule of a turn in a training by blocks: few splats learn the whole scene from small photos, and a block goes on from
+    /// there with the whole photos.
+    pub fn of_turn(settings: &TrainSettings, turn: &BlockTurn) -> Schedule {
+        let whole = Schedule::new(settings);
+        let &BlockTurn { part, first, steps, late } = turn;
+        match part {
+            _ if late => whole,
+            BlockPart::Coarse => Schedule { first, steps, finest: 1, ..whole },
+            BlockPart::Block(_) | BlockPart::Seams => Schedule { first, steps, coarse: 0.0, ..whole },
+        }
     }
 
     /// The same on photos that are halved so many times at the least.
@@ -40,7 +55,12 @@ impl Schedule {
 
     /// 1 at the last step, and after it: a continued training keeps its last rates.
     fn share(&self, step: u32) -> f32 {
-        (step as f32 / self.steps as f32).min(1.0)
+        (self.since_start(step) as f32 / self.steps as f32).min(1.0)
+    }
+
+    /// Steps since the schedule started.
+    pub fn since_start(&self, step: u32) -> u32 {
+        step.saturating_sub(self.first)
     }
 
     /// Halvings of the photo at a step: two for the first third of the coarse part, then one, then none.
@@ -91,7 +111,7 @@ impl Schedule {
     /// Whether splats without multi-view support are pruned after so many steps: eight times, or fewer where photos
     /// are many, from the time transients are left out until enough steps are left to repair the gaps.
     pub fn multi_view_pruning(&self, step: u32, photos: usize) -> bool {
-        let steps = u64::from(self.steps);
+        let (step, steps) = (self.since_start(step), u64::from(self.steps));
         let times = (steps as f64 * PHOTOS_PER_STEP / photos.max(1) as f64).round() as u64;
         let times = times.min(MOST_PRUNINGS);
         let (from, until) = PRUNING_SPAN;
@@ -102,6 +122,7 @@ impl Schedule {
     /// Whether photos are aligned to the splats after so many steps.
     pub fn pose_refinement(&self, step: u32) -> bool {
         let at = |share: f32| (share * self.steps as f32).round() as u32;
+        let step = self.since_start(step);
         step > 0 && POSE_REFINEMENTS.iter().any(|&share| at(share) == step)
     }
 
@@ -129,6 +150,25 @@ mod tests {
             (pruned_at(1000, 350), pruned_at(100, 100).len(), pruned_at(1, 1).len()),
             (vec![560], 0, 0)
         );
+    }
+
+    #[test]
+    fn a_block_has_the_schedules_of_a_whole_run_at_its_turn() {
+        let settings = TrainSettings { steps: 2000, coarse: 0.0, ..TrainSettings::default() };
+        let whole = Schedule::new(&TrainSettings { steps: 500, ..settings.clone() });
+        let turn = BlockTurn { part: BlockPart::Block(1), first: 900, steps: 500, late: false };
+        let block = Schedule::of_turn(&settings, &turn);
+        for step in 0..=500 {
+            let at = 900 + step;
+            assert_eq!(
+                (block.level(at), block.mean_factor(at), block.late_factor(at), block.robust(at)),
+                (whole.level(step), whole.mean_factor(step), whole.late_factor(step), whole.robust(step))
+            );
+            assert_eq!(block.multi_view_pruning(at, 20), whole.multi_view_pruning(step, 20), "{step}");
+            assert_eq!(block.pose_refinement(at), whole.pose_refinement(step), "{step}");
+        }
+        let late = Schedule::of_turn(&settings, &BlockTurn { late: true, ..turn });
+        assert_eq!(late.mean_factor(1900), Schedule::new(&settings).mean_factor(1900));
     }
 
     #[test]

@@ -123,6 +123,9 @@ segwild_scene::settings! {
         grow_gain: f32 = 0.01 => 0.0..=100.0,
         /// When the intermediate scene for the mask stage is taken, as a share of the steps.
         snapshot_at: f32 = 0.5 => 0.0..=1.0,
+        /// Blocks that the scene is trained in, one after another; splats outside a block are rendered and not trained, so that the
+        /// training takes less memory, and longer. 0: one, or where that does not fit in the memory budget as many as it needs.
+        blocks: usize = 0 => 0..=64,
         /// Memory for decoded photos, in MiB; older ones are read again when needed.
         photo_cache_mib: usize = 256 => 0..=1 << 20,
     }
@@ -196,11 +199,18 @@ impl TrainSettings {
         TrainSettings { steps: self.steps_for(photos), effort: 1.0, ..self.clone() }
     }
 
-    /// Photos of one scene overlap: they count by the square root (docs/experiments/2026-11-22-how-many-steps.md).
+    /// Of the splats that a training may come to, as many as it has at first: those of a block, where there are several.
+    pub(crate) fn first_cap(&self, most: usize) -> usize {
+        (most / self.blocks.max(1)).max(1)
+    }
+
+    /// Photos of one scene overlap: they count by the square root (docs/experiments/2026-11-22-how-many-steps.md). Blocks are scenes
+    /// of fewer photos each.
     fn steps_for(&self, photos: usize) -> u32 {
         match self.steps {
             0 => {
-                let steps = (self.effort * STEPS * (photos as f32).sqrt()).round().max(1.0) as u32;
+                let photos = photos as f32 * self.blocks.max(1) as f32;
+                let steps = (self.effort * STEPS * photos.sqrt()).round().max(1.0) as u32;
                 if self.appearance_model == AppearanceModel::None { one_light_steps(steps) } else { steps }
             }
             steps => steps,
@@ -230,6 +240,8 @@ mod tests {
         let one_light = TrainSettings { appearance_model: AppearanceModel::None, ..standard.clone() };
         assert_eq!((one_light.steps_for(25), one_light_steps(standard.steps_for(25))), (1250, 1250));
         assert_eq!(standard.steps_for(0), 1, "a scene without photos is refused in other words");
+        let [one, four] = [1, 4].map(|blocks| TrainSettings { blocks, ..standard.clone() }.steps_for(100));
+        assert_eq!((one, four), (2000, 4000), "four blocks of 25 photos take 1000 steps each");
         assert_eq!(TrainSettings { steps: 77, ..Preset::Best.settings() }.steps_for(25), 77);
     }
 }

@@ -47,14 +47,25 @@ pub(crate) struct TrainState {
 }
 
 impl TrainState {
+    /// The views that are trained on, in ascending order: where there are several blocks, all whose photos had a step.
+    pub fn trained_views(&self, blocks: usize) -> Vec<usize> {
+        let had_a_step = |view: &usize| self.backgrounds[*view].is_some();
+        if blocks > 1 {
+            (0..self.backgrounds.len()).filter(had_a_step).collect()
+        } else {
+            self.sampler.views()
+        }
+    }
+
     /// Renders a view that had a step before.
     pub fn painter(&self, view: usize) -> Painter<'_> {
         let background = self.backgrounds[view].as_ref().expect("set at the first step of the view");
         Painter { view, appearance: &self.appearance, background }
     }
 
-    /// What a step changes: the splats and their density control, and what it changes beside them.
-    pub fn halves(&mut self, view: usize) -> (&mut Params, &mut dyn Density, PhotoSide<'_>) {
+    /// What a step changes: the splats and their density control, and what it changes beside them. `fixed`: whether the photo's
+    /// appearance and background stay as they are.
+    pub fn halves(&mut self, view: usize, fixed: bool) -> (&mut Params, &mut dyn Density, PhotoSide<'_>) {
         let side = PhotoSide {
             appearance: &mut self.appearance,
             background: self.backgrounds[view].as_mut().expect("set at the first step of the view"),
@@ -63,6 +74,7 @@ impl TrainState {
             quality: &mut self.quality[view],
             step: self.step,
             pause_until: self.pause_until,
+            fixed,
         };
         (&mut self.params, self.strategy.as_dyn(), side)
     }

@@ -6,6 +6,7 @@ use crate::density::{DensityChange, StepObservation, Surroundings};
 use crate::model::options;
 use crate::multi_view_pruning::MultiViewPruning;
 use crate::painter::RenderedView;
+use crate::params::joined;
 use crate::photometric::StepPhoto;
 use crate::pixels::{at_centres, first_background};
 use crate::state::mean_quality;
@@ -23,6 +24,7 @@ impl Trainer {
             let why = "`lambda_lpips` is above 0, and the training was given no weights of LPIPS";
             return Err(TrainError::Setting(why.into()));
         }
+        self.start_turn()?;
         let (view, stored) = self.next_photo()?;
         let step = self.state.step;
         let wanted = self.schedule.level(step);
@@ -54,9 +56,14 @@ impl Trainer {
         } else {
             self.learn_here(&step_photo)?
         };
-        self.state.appearance.as_appearance_mut().step(self.schedule.late_factor(step));
+        // At a rate of 0 the gradients go, and the appearances stay.
+        let fixed = self.photos_are_fixed();
+        let rate = if fixed { 0.0 } else { self.schedule.late_factor(step) };
+        self.state.appearance.as_appearance_mut().step(rate);
         self.state.step += 1;
-        self.refine_poses()?;
+        if !fixed {
+            self.refine_poses()?;
+        }
         let dropped = self.prune_unsupported()?;
         let mut change = self.control_density()?;
         if dropped > 0 {
@@ -83,10 +90,11 @@ impl Trainer {
         let &StepPhoto { view, photo, ref camera, ref pose, .. } = step_photo;
         let step = self.state.step;
         let rates = self.rates(step);
+        let fixed = self.photos_are_fixed();
         let (settings, schedule, posed) = (&self.settings, &self.schedule, &self.views[view]);
         let lpips = self.lpips.as_deref().filter(|_| settings.lambda_lpips > 0.0);
         let perceptual = lpips.map(|lpips| PerceptualLoss { lpips, weight: settings.lambda_lpips });
-        let (params, strategy, mut side) = self.state.halves(view);
+        let (params, strategy, mut side) = self.state.halves(view, fixed);
         let projected = self.engine.project(&params.splats, camera, pose, &options(settings.antialias))?;
         let RenderedView { light, colours, channels, frame } =
             side.painter(view).render(params, &*projected, pose, Some(u64::from(step)))?;
@@ -137,8 +145,8 @@ impl Trainer {
             return Ok(0);
         }
         self.download()?;
-        let n = self.state.params.splats.len();
-        let mut multi_view_pruning = MultiViewPruning::new(n);
+        let n = self.state.params.trained();
+        let mut multi_view_pruning = MultiViewPruning::new(self.state.params.splats.len());
         let engine = self.engine.clone();
         let splats = &self.state.params.splats;
         let resident = engine.upload_splats(splats)?;
@@ -161,7 +169,8 @@ impl Trainer {
             multi_view_pruning.add_photo(&*projected, photo.width, &contradicted, |i| photo.counts(i))?;
         }
         drop(resident);
-        let kept = multi_view_pruning.supported();
+        let mut kept = multi_view_pruning.supported();
+        kept.retain(|&i| i < n);
         if kept.is_empty() || kept.len() == n {
             return Ok(0);
         }
@@ -172,15 +181,19 @@ impl Trainer {
 
     /// Lets the density strategy act on the splats as they are after the step.
     fn control_density(&mut self) -> Result<Option<DensityChange>, TrainError> {
-        if !self.state.strategy.as_dyn().acts(self.state.step) {
+        let step = self.schedule.since_start(self.state.step);
+        if !self.state.strategy.as_dyn().acts(step) {
             return Ok(None);
         }
         let mut reshaping = self.lend_shapes()?;
         let views = self.state.sampler.views();
         let quality = mean_quality(&views, &self.state.quality);
         let engine = self.engine.clone();
+        let (cap, frozen) = (self.cap(), self.state.params.frozen_shapes());
         let (photos, posed, antialias) = (&mut self.photos, &self.views, self.settings.antialias);
-        let mut contribution = |splats: &Splats| {
+        let mut contribution = |trained: &Splats| {
+            let whole = (!frozen.is_empty()).then(|| joined(trained.clone(), &frozen));
+            let splats = whole.as_ref().unwrap_or(trained);
             let resident = engine.upload_splats(splats)?;
             let engine = resident.as_deref().unwrap_or(&*engine);
             let mut sum = vec![0.0f32; splats.len()];
@@ -195,14 +208,15 @@ impl Trainer {
                     *s += v;
                 }
             }
+            sum.truncate(trained.len());
             Ok(sum)
         };
         let state = &mut self.state;
         let mut around = Surroundings {
-            step: state.step,
+            step,
             level: self.schedule.level(state.step - 1),
             pixel: state.pixel,
-            cap: state.splat_budget.splats(),
+            cap,
             quality,
             random: &mut state.random,
             contribution: &mut contribution,

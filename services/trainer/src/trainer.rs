@@ -1,6 +1,7 @@
 //! A training: its start, and what it holds.
 
 use crate::appearances;
+use crate::blocks::{BlockTurn, BlockTurns};
 use crate::colours::coloured;
 use crate::density::{DensityChange, Strategy};
 use crate::initial::{Eye, initial_splats};
@@ -56,7 +57,7 @@ pub struct Trainer {
     /// Their poses as given; those of the views may be refined.
     pub(crate) given: Vec<Pose>,
     pub(crate) photos: TrainPhotoCache,
-    warnings: Vec<String>,
+    pub(crate) warnings: Vec<String>,
     pub(crate) state: TrainState,
     /// Unlike that of any other trainer of the process: engines keep photos by it.
     pub(crate) id: u64,
@@ -70,11 +71,25 @@ pub struct Trainer {
     pub(crate) stereo_count: usize,
     /// Mean share of the photos that is transient, by the search before the training.
     pub(crate) initial_transient_share: Option<f32>,
+    /// The blocks that the scene is divided into, where it is.
+    pub(crate) blocks: Option<Arc<BlockTurns>>,
+    /// The turn of the last step.
+    pub(crate) turn: Option<BlockTurn>,
 }
 
 impl Trainer {
     /// Starts from the scene's points. The views not held out are trained on.
     pub fn new(
+        engine: Arc<dyn Engine>,
+        scene: &Scene,
+        photos: Arc<dyn Photos>,
+        settings: TrainSettings,
+    ) -> Result<Trainer, TrainError> {
+        Ok(Trainer::undivided(engine, scene, photos, settings)?.divided(scene))
+    }
+
+    /// The same as a whole, with no more splats than a training by blocks has at first.
+    pub(crate) fn undivided(
         engine: Arc<dyn Engine>,
         scene: &Scene,
         photos: Arc<dyn Photos>,
@@ -131,8 +146,8 @@ impl Trainer {
         let splat_budget = SplatBudget::new(&settings, scene.points.len(), train.len(), size.pixels());
         let mut random = Random::new(settings.seed);
         let schedule = Schedule::new(&settings).no_finer_than(finest);
-        let start =
-            initial_splats(scene, stereo, &eyes, schedule.sh_degree(0), splat_budget.splats(), &mut random);
+        let cap = settings.first_cap(splat_budget.splats());
+        let start = initial_splats(scene, stereo, &eyes, schedule.sh_degree(0), cap, &mut random);
         let appearance = appearances::initial(&settings, scene.views.len());
         let splat_embeddings = appearance.as_appearance().first_embeddings(&start.splats.means);
         let state = TrainState {
@@ -194,6 +209,8 @@ impl Trainer {
             lpips: None,
             stereo_count: 0,
             initial_transient_share: None,
+            blocks: None,
+            turn: None,
         }
     }
 

@@ -113,7 +113,8 @@ impl<'a> Trials<'a> {
         let share = settings.transient_share();
         // Models and steps are compared by PSNR and SSIM: the short trainings go without the dear term of the loss.
         let settings = TrainSettings { lambda_lpips: 0.0, ..settings };
-        let mut trainer = Trainer::new(self.engine.clone(), &self.scene, self.photos.clone(), settings)?;
+        let (engine, photos) = (self.engine.clone(), self.photos.clone());
+        let mut trainer = Trainer::undivided(engine, &self.scene, photos, settings)?;
         while !trainer.is_done() {
             if (self.stopping)() {
                 return Err(TrainError::Stopped);

@@ -1,0 +1,124 @@
+//! A training by blocks: what starts a turn ([`crate::blocks`]). Everything else is a training like any other, on fewer photos and with
+//! some splats frozen.
+
+use crate::blocks::{BlockPart, BlockTurns};
+use crate::density::Strategy;
+use crate::initial::first_splats;
+use crate::sampler::Sampler;
+use crate::schedule::Schedule;
+use crate::trainer::Trainer;
+use crate::{TrainError, TrainSettings};
+use glam::Vec3;
+use segwild_objective::AnyAppearance;
+use segwild_scene::{Scene, Splats, knn};
+use std::sync::Arc;
+
+/// Points that start splats in a block, at least: fewer show no surface.
+const LEAST_POINTS: usize = 32;
+
+impl Trainer {
+    /// Divides the scene, where the settings name several blocks. `given`: the scene with its poses as given.
+    pub(crate) fn divided(mut self, given: &Scene) -> Trainer {
+        if self.settings.blocks > 1 {
+            let turns = BlockTurns::of(given, self.settings.blocks, self.settings.steps);
+            if turns.is_none() {
+                let warning = "the scene cannot be divided into blocks: its cameras and points are too few, or lie at one position";
+                tracing::warn!("{warning}");
+                self.warnings.push(warning.into());
+            }
+            self.blocks = turns.map(Arc::new);
+        }
+        self
+    }
+
+    /// Whether appearance, background and pose of the photos stay as they are: as the coarse training of the whole scene left them,
+    /// so that blocks do not differ in light.
+    pub(crate) fn photos_are_fixed(&self) -> bool {
+        self.turn.is_some_and(|turn| turn.part != BlockPart::Coarse)
+    }
+
+    /// Most splats that may be trained now.
+    pub(crate) fn cap(&self) -> usize {
+        let (most, params) = (self.state.splat_budget.splats(), &self.state.params);
+        match (&self.blocks, self.turn.map(|turn| turn.part)) {
+            (Some(blocks), Some(BlockPart::Block(block))) => {
+                let frozen = params.splats.len() - params.trained();
+                let share = most as f32 * blocks.division.shares[block];
+                (share as usize).min(most.saturating_sub(frozen)).max(1)
+            }
+            (Some(_), Some(BlockPart::Seams)) => params.trained(),
+            (Some(_), Some(BlockPart::Coarse) | None) | (None, _) => self.settings.first_cap(most),
+        }
+    }
+
+    /// Starts the turn of the coming step, where that is the first of it: its splats alone are trained from then on, on its photos.
+    pub(crate) fn start_turn(&mut self) -> Result<(), TrainError> {
+        let Some(blocks) = self.blocks.clone() else { return Ok(()) };
+        let step = self.state.step;
+        let turn = blocks.turn_at(step);
+        self.turn = Some(turn);
+        self.schedule = Schedule::of_turn(&self.settings, &turn);
+        if turn.part == BlockPart::Coarse || turn.first != step {
+            return Ok(());
+        }
+        self.download()?;
+        let division = &blocks.division;
+        let is_trained = |mean: &[f32; 3]| match turn.part {
+            BlockPart::Coarse => true,
+            BlockPart::Block(block) => division.blocks[block].border.contains(Vec3::from(*mean)),
+            BlockPart::Seams => division.at_seam(Vec3::from(*mean)),
+        };
+        let marked: Vec<bool> = self.state.params.splats.means.iter().map(is_trained).collect();
+        let added = match turn.part {
+            BlockPart::Block(block) if !turn.late => self.points_of_block(&blocks, block, &marked),
+            BlockPart::Block(_) | BlockPart::Coarse | BlockPart::Seams => None,
+        };
+        let added = added.unwrap_or_else(|| self.state.params.splats.select(&[]));
+        let appearance = self.state.appearance.as_appearance();
+        let embeddings = if added.is_empty() { Vec::new() } else { appearance.first_embeddings(&added.means) };
+        self.state.params.train_only(&marked, (&added, &embeddings));
+        let steps = if turn.late { self.settings.steps } else { turn.steps };
+        let settings = TrainSettings { steps, ..self.settings.clone() };
+        self.state.strategy = Strategy::new(&settings, self.state.params.trained());
+        self.sample_photos(blocks.photos(turn.part));
+        if !matches!(self.state.appearance, AnyAppearance::Gsw(_)) {
+            self.state.pause_until = step + self.schedule.pause();
+        }
+        Ok(())
+    }
+
+    /// New splats at the points in the core of a block, where it has fewer splats than points and the splat budget allows more. Not
+    /// for `gsw`, whose embeddings start from the extent of all splats.
+    fn points_of_block(&self, blocks: &BlockTurns, block: usize, marked: &[bool]) -> Option<Splats> {
+        if matches!(self.state.appearance, AnyAppearance::Gsw(_)) {
+            return None;
+        }
+        let (points, core) = (&blocks.points[block], &blocks.division.blocks[block].core);
+        let splats = &self.state.params.splats;
+        let own = splats.means.iter().filter(|mean| core.contains(Vec3::from(**mean))).count();
+        let trained = marked.iter().filter(|marked| **marked).count();
+        let most = self.state.splat_budget.splats();
+        let share = (most as f32 * blocks.division.shares[block]) as usize;
+        let space = share.saturating_sub(trained).min(most.saturating_sub(splats.len()));
+        let count = points.len().saturating_sub(own).min(space);
+        if count < LEAST_POINTS {
+            return None;
+        }
+        let (positions, colours): (Vec<[f32; 3]>, Vec<[f32; 3]>) =
+            (0..count).map(|i| points[i * points.len() / count]).unzip();
+        let distances = knn::nearest(&positions, 3).mean_distances();
+        Some(first_splats(positions, &colours, &vec![self.state.pixel; count], &distances, splats.sh_degree))
+    }
+
+    /// Trains on these photos from now on, as far as they can be used; on those before where none of them can.
+    fn sample_photos(&mut self, mut views: Vec<usize>) {
+        let state = &mut self.state;
+        views.retain(|&view| !state.skipped.iter().any(|(name, _)| *name == self.views[view].name));
+        if views.is_empty() {
+            views = state.sampler.views();
+        }
+        // Whether growth pays is measured within the turn.
+        views.iter().for_each(|&view| state.quality[view] = None);
+        state.sampler = Sampler::new(&views);
+    }
+}
