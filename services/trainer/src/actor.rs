@@ -1,7 +1,7 @@
 //! The actor of the trainer: one order trains one scene, and its outcomes are sent on as they come.
 
 use crate::imported::{self, ImportedModel};
-use crate::{Checkpoint, Model, Photos, TrainError, TrainSettings, Trainer};
+use crate::{Checkpoint, Model, Photos, SeamCheck, TrainError, TrainSettings, Trainer};
 use segwild_flow::{Actor, ActorFailure, Context, Message, Quarantined, Sender, fault};
 use segwild_nn::Lpips;
 use segwild_objective::Engine;
@@ -73,6 +73,8 @@ pub enum TrainOutcome {
     Snapshot(Arc<Model>),
     /// Where to continue from.
     Checkpoint(Arc<Checkpoint>),
+    /// How well the photos are shown at the seams of the blocks, before [`TrainOutcome::Done`] of a scene that has several.
+    Seams(SeamCheck),
     /// The requested step is reached, and the training is not over; its checkpoint was sent before.
     Paused(u32),
     /// The trained scene, and photos that turned out not to be usable.
@@ -216,6 +218,21 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         }
         for words in trainer.aligned_poses_in_words() {
             context.events().info(Some("geometry"), words);
+        }
+        let stopping = || {
+            context.progress();
+            context.stopping()
+        };
+        let seams = trainer.seam_check(&stopping).map_err(|e| match e {
+            TrainError::Stopped => ActorFailure::stopped(),
+            e => ActorFailure::fatal(e),
+        })?;
+        if let Some(seams) = seams {
+            match seams.stands_out() {
+                true => context.events().warn(Some("geometry"), seams.in_words()),
+                false => context.events().info(Some("geometry"), seams.in_words()),
+            }
+            self.send(TrainOutcome::Seams(seams))?;
         }
         let skipped = trainer.skipped();
         let model = trainer.finish().map_err(ActorFailure::fatal)?;

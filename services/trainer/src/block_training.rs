@@ -10,24 +10,27 @@ use crate::trainer::Trainer;
 use crate::{TrainError, TrainSettings};
 use glam::Vec3;
 use segwild_objective::AnyAppearance;
-use segwild_scene::{Scene, Splats, knn};
+use segwild_scene::{Point, Scene, Splats, knn};
 use std::sync::Arc;
 
 /// Points that start splats in a block, at least: fewer show no surface.
 const LEAST_POINTS: usize = 32;
+/// The warning about a scene that has several blocks by the settings, and one in fact.
+const UNDIVIDED: &str = "the scene cannot be divided into blocks: its cameras and points are too few, or lie at one position";
 
 impl Trainer {
-    /// Divides the scene, where the settings name several blocks. `given`: the scene with its poses as given.
-    pub(crate) fn divided(mut self, given: &Scene) -> Trainer {
-        if self.settings.blocks > 1 {
-            let turns = BlockTurns::of(given, self.settings.blocks, self.settings.steps);
-            if turns.is_none() {
-                let warning = "the scene cannot be divided into blocks: its cameras and points are too few, or lie at one position";
-                tracing::warn!("{warning}");
-                self.warnings.push(warning.into());
-            }
-            self.blocks = turns.map(Arc::new);
+    /// Divides the scene, where the settings name several blocks. `given`: the scene with its poses as given; `points`: its points
+    /// with their colours.
+    pub(crate) fn divided(mut self, given: &Scene, points: &[Point]) -> Trainer {
+        if self.settings.blocks < 2 {
+            return self;
         }
+        let turns = BlockTurns::of(given, points, self.settings.blocks, self.settings.steps);
+        if turns.is_none() {
+            tracing::warn!("{UNDIVIDED}");
+            self.warnings.push(UNDIVIDED.into());
+        }
+        self.blocks = turns.map(Arc::new);
         self
     }
 
@@ -75,8 +78,11 @@ impl Trainer {
         };
         let added = added.unwrap_or_else(|| self.state.params.splats.select(&[]));
         let appearance = self.state.appearance.as_appearance();
-        let embeddings = if added.is_empty() { Vec::new() } else { appearance.first_embeddings(&added.means) };
-        self.state.params.train_only(&marked, (&added, &embeddings));
+        let embeddings = match added.is_empty() {
+            true => Vec::new(),
+            false => appearance.first_embeddings(&added.means),
+        };
+        self.state.params.train_only(&marked, (&added, &embeddings[..]));
         let steps = if turn.late { self.settings.steps } else { turn.steps };
         let settings = TrainSettings { steps, ..self.settings.clone() };
         self.state.strategy = Strategy::new(&settings, self.state.params.trained());

@@ -100,10 +100,15 @@ impl Trainer {
         let mut photos = photo_cache(scene, photos, &settings);
         let schedule = Schedule::new(&settings);
         let state = checkpoint.state;
-        // Points' colours are needed at the first step of a photo.
+        // Points' colours are needed at the first step of a photo, and where a block starts.
         let unseen = state.sampler.views().iter().any(|&view| state.backgrounds[view].is_none());
-        let shown = if unseen { coloured(scene, &mut photos, &|| false)? } else { Cow::Borrowed(scene) };
-        Ok(Trainer::of_state(engine, settings, schedule, posed(&shown), photos, state).divided(scene))
+        let shown = if unseen || settings.blocks > 1 {
+            coloured(scene, &mut photos, &|| false)?
+        } else {
+            Cow::Borrowed(scene)
+        };
+        let trainer = Trainer::of_state(engine, settings, schedule, posed(&shown), photos, state);
+        Ok(trainer.divided(scene, &shown.points))
     }
 
     /// Everything needed to continue later.

@@ -291,7 +291,8 @@ impl Params {
             return;
         }
         let n = self.trained();
-        let (values, grads, radii) = (&mut self.splat_embeddings[..n * size], &grads[..n * size], &radii[..n]);
+        let values = &mut self.splat_embeddings[..n * size];
+        let (grads, radii) = (&grads[..n * size], &radii[..n]);
         self.embedding_moments.step_visible(values, grads, rates.splat_embedding, radii);
         let keep = kept(rates);
         for (embedding, _) in values.chunks_exact_mut(size).zip(radii).filter(|(_, r)| **r > 0.0) {

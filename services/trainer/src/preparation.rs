@@ -33,8 +33,9 @@ impl Trainer {
         let found = initial_transients(&engine, start, &mut cache, &settings, stopping)?;
         let stereo = stereo_points::points(start, &mut cache, &settings, &found.masks, stopping)?;
         let robust = ResidualHistograms::new(found.robust_shares(&settings), found.shares.clone());
-        let mut trainer =
-            Trainer::start(engine, start, cache, settings, 0, &stereo)?.with_poses(scene, poses).divided(scene);
+        let mut trainer = Trainer::start(engine, start, cache, settings, 0, &stereo)?
+            .with_poses(scene, poses)
+            .divided(scene, &start.points);
         trainer.initial_transient_share = found.mean_share();
         trainer.state.initial_transients = found.masks;
         trainer.state.robust = robust;

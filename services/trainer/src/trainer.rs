@@ -85,15 +85,16 @@ impl Trainer {
         photos: Arc<dyn Photos>,
         settings: TrainSettings,
     ) -> Result<Trainer, TrainError> {
-        Ok(Trainer::undivided(engine, scene, photos, settings)?.divided(scene))
+        Trainer::from_points(engine, scene, photos, settings, true)
     }
 
-    /// The same as a whole, with no more splats than a training by blocks has at first.
-    pub(crate) fn undivided(
+    /// The same; by blocks only where that is `divided`. Otherwise it has no more splats than a training by blocks has at first.
+    pub(crate) fn from_points(
         engine: Arc<dyn Engine>,
         scene: &Scene,
         photos: Arc<dyn Photos>,
         settings: TrainSettings,
+        divided: bool,
     ) -> Result<Trainer, TrainError> {
         settings.check()?;
         let settings = settings.decided(scene);
@@ -101,7 +102,8 @@ impl Trainer {
         let mut cache = photo_cache(scene, photos, &settings);
         let refined = with_poses(scene, &poses.refined);
         let coloured = coloured(&refined, &mut cache, &|| false)?;
-        Ok(Trainer::start(engine, &coloured, cache, settings, 0, &[])?.with_poses(scene, poses))
+        let trainer = Trainer::start(engine, &coloured, cache, settings, 0, &[])?.with_poses(scene, poses);
+        Ok(if divided { trainer.divided(scene, &coloured.points) } else { trainer })
     }
 
     /// The same, started from a scene with poses that its points refined.

@@ -106,8 +106,8 @@ pub fn trained_share(scene: &Scene, blocks: usize) -> f64 {
 
 /// The two axes that lie closest to the ground plane: those that the cameras' upward direction is farthest from.
 fn ground_axes(scene: &Scene) -> [usize; 2] {
-    let up: Vec3 = scene.views.iter().map(|view| -view.pose.rotation.row(1)).filter(|up| up.is_finite()).sum();
-    let up = up.abs();
+    let upward = scene.views.iter().map(|view| -view.pose.rotation.row(1));
+    let up = upward.filter(|up| up.is_finite()).sum::<Vec3>().abs();
     match (0..3).max_by(|&a, &b| up[a].total_cmp(&up[b])) {
         Some(0) => [1, 2],
         Some(1) => [0, 2],

@@ -1,7 +1,7 @@
 //! Which part of a divided scene is trained when.
 
 use super::division::Division;
-use segwild_scene::Scene;
+use segwild_scene::{Point, Scene};
 
 /// Shares of the steps for the coarse training of the whole scene, and for the seams at the end; the blocks share the rest in
 /// proportion to their photos. By choice: each photo comes as often as in a training of the whole scene.
@@ -45,8 +45,9 @@ pub(crate) struct BlockTurns {
 }
 
 impl BlockTurns {
-    /// The turns of a training of so many steps on a scene in `count` blocks; `None` where the scene cannot be divided.
-    pub fn of(scene: &Scene, count: usize, steps: u32) -> Option<BlockTurns> {
+    /// The turns of a training of so many steps on a scene in `count` blocks, which start with these points; `None` where the scene
+    /// cannot be divided.
+    pub fn of(scene: &Scene, points: &[Point], count: usize, steps: u32) -> Option<BlockTurns> {
         let division = Division::of(scene, count);
         if division.blocks.len() < 2 {
             return None;
@@ -69,7 +70,7 @@ impl BlockTurns {
         turns.retain(|turn| turn.steps > 0);
         let of_core = |block: usize| {
             let core = division.blocks[block].core;
-            let own = scene.points.iter().filter(|point| core.contains(point.position));
+            let own = points.iter().filter(|point| core.contains(point.position));
             own.map(|point| (point.position.to_array(), point.colour)).collect()
         };
         let points = (0..division.blocks.len()).map(of_core).collect();

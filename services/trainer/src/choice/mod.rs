@@ -114,7 +114,7 @@ impl<'a> Trials<'a> {
         // Models and steps are compared by PSNR and SSIM: the short trainings go without the dear term of the loss.
         let settings = TrainSettings { lambda_lpips: 0.0, ..settings };
         let (engine, photos) = (self.engine.clone(), self.photos.clone());
-        let mut trainer = Trainer::undivided(engine, &self.scene, photos, settings)?;
+        let mut trainer = Trainer::from_points(engine, &self.scene, photos, settings, false)?;
         while !trainer.is_done() {
             if (self.stopping)() {
                 return Err(TrainError::Stopped);
