@@ -116,7 +116,7 @@ pub use light::{SceneLight, SceneLighting, render_lit};
 pub use model::{Model, Stats, render_view};
 pub use photos::{Photos, Sifted, TrainPhoto};
 pub use refined_pose::{RefinedBy, RefinedPose};
-pub use seams::{SeamCheck, SeamResidual};
+pub use seams::{SeamCheck, SeamPhoto, SeamResidual};
 pub use segwild_nn::{Lpips, LpipsError, LpipsNet};
 pub use segwild_objective::GswWidth;
 pub use segwild_objective::background::Background;

@@ -26,7 +26,17 @@ pub struct SeamCheck {
     /// Means over these photos.
     pub mean: SeamResidual,
     /// The photo whose residual at seams exceeds that elsewhere most; `None` where no photo shows a seam.
-    pub worst: Option<(String, SeamResidual)>,
+    pub worst: Option<SeamPhoto>,
+}
+
+/// How well one photo is shown at the seams.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SeamPhoto {
+    /// Its name.
+    pub photo: String,
+    /// The comparison.
+    #[serde(flatten)]
+    pub residual: SeamResidual,
 }
 
 /// Mean absolute colour differences of a render and its photo, from 0 to 1, over pixels that show no sky and no transient.
@@ -54,21 +64,21 @@ impl SeamResidual {
 }
 
 impl SeamCheck {
-    fn of(blocks: usize, compared: Vec<(String, SeamResidual)>) -> SeamCheck {
+    fn of(blocks: usize, compared: Vec<SeamPhoto>) -> SeamCheck {
         let photos = compared.len();
-        let mean = |of: &dyn Fn(&SeamResidual) -> f32| {
-            compared.iter().map(|(_, residual)| of(residual)).sum::<f32>() / photos.max(1) as f32
+        let mean = |of: fn(&SeamResidual) -> f32| {
+            compared.iter().map(|photo| of(&photo.residual)).sum::<f32>() / photos.max(1) as f32
         };
-        let mean = SeamResidual { at_seams: mean(&|r| r.at_seams), elsewhere: mean(&|r| r.elsewhere) };
-        let larger = |a: &(String, SeamResidual), b: &(String, SeamResidual)| {
-            a.1.excess().total_cmp(&b.1.excess()).then_with(|| b.0.cmp(&a.0))
+        let mean = SeamResidual { at_seams: mean(|r| r.at_seams), elsewhere: mean(|r| r.elsewhere) };
+        let larger = |a: &SeamPhoto, b: &SeamPhoto| {
+            a.residual.excess().total_cmp(&b.residual.excess()).then_with(|| b.photo.cmp(&a.photo))
         };
         SeamCheck { blocks, photos, mean, worst: compared.into_iter().max_by(larger) }
     }
 
     /// Whether a seam can be expected to be visible in a photo.
     pub fn stands_out(&self) -> bool {
-        self.worst.as_ref().is_some_and(|(_, residual)| residual.stands_out())
+        self.worst.as_ref().is_some_and(|worst| worst.residual.stands_out())
     }
 
     /// The result in a sentence.
@@ -76,7 +86,7 @@ impl SeamCheck {
         let SeamCheck { blocks, photos, mean, worst } = self;
         match worst {
             None => format!("trained in {blocks} blocks; no photo shows a seam"),
-            Some((photo, residual)) => format!(
+            Some(SeamPhoto { photo, residual }) => format!(
                 "trained in {blocks} blocks; the {photos} photos that show seams differ from the scene by {}, the worst, {photo}, by {}",
                 mean.in_words(),
                 residual.in_words()
@@ -124,7 +134,8 @@ impl Trainer {
             };
             let residuals = mean(&|light| light >= AT_SEAM).zip(mean(&|light| light <= ELSEWHERE));
             if let Some((at_seams, elsewhere)) = residuals {
-                compared.push((self.views[view].name.clone(), SeamResidual { at_seams, elsewhere }));
+                let photo = self.views[view].name.clone();
+                compared.push(SeamPhoto { photo, residual: SeamResidual { at_seams, elsewhere } });
             }
         }
         Ok(Some(SeamCheck::of(division.blocks.len(), compared)))
@@ -138,10 +149,11 @@ mod tests {
     #[test]
     fn the_worst_photo_is_named_and_stands_out_where_its_seam_differs_more_than_the_rest() {
         let of = |photos: &[(&str, f32, f32)]| {
-            let residual = |&(name, at_seams, elsewhere): &(&str, f32, f32)| {
-                (name.to_owned(), SeamResidual { at_seams, elsewhere })
+            let of_photo = |&(name, at_seams, elsewhere): &(&str, f32, f32)| SeamPhoto {
+                photo: name.to_owned(),
+                residual: SeamResidual { at_seams, elsewhere },
             };
-            SeamCheck::of(2, photos.iter().map(residual).collect())
+            SeamCheck::of(2, photos.iter().map(of_photo).collect())
         };
         let level = of(&[("a.jpg", 0.03, 0.03), ("b.jpg", 0.035, 0.03), ("c.jpg", 0.09, 0.12)]);
         assert!(!level.stands_out() && level.photos == 3, "{level:?}");

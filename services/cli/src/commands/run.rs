@@ -180,6 +180,9 @@ pub fn tell(summary: &Summary, out: &Path) -> Result<(), Failure> {
     if let Some(fit) = &summary.train_fit {
         print_line(&format!("training photos: {}", fit.in_words()))?;
     }
+    if let Some(seams) = &summary.seams {
+        print_line(&format!("seams: {}", seams.in_words()))?;
+    }
     if let Some(held) = &summary.held_out {
         print_line(&format!("held-out photos: {} ({})", held.in_words(), held.protocol))?;
     }

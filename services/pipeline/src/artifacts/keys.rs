@@ -70,6 +70,7 @@ fn without_effect(settings: &Settings) -> Vec<&'static str> {
     let mut names = vec!["photo_cache_mib", "feature_memory", "snapshot_at", "lambda_lpips"];
     let no_embeddings = !matches!(train.appearance_model, AppearanceModel::Embed | AppearanceModel::Gsw);
     let idle = [
+        ("blocks", train.blocks < 2),
         ("lr_splat_embedding", no_embeddings),
         ("splat_embedding_from", no_embeddings),
         ("lr_net", train.appearance_model != AppearanceModel::Gsw),
@@ -479,4 +480,20 @@ fn text<G: Group>(settings: &Settings) -> String {
         .filter(|f| !idle.contains(&f.name))
         .map(|f| format!("{}={}\n", f.name, settings.get(f.name).unwrap_or_default()))
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scene_of_one_block_has_the_key_that_it_had_before_there_were_blocks() {
+        let of = |blocks: usize| {
+            let mut settings = Settings::default();
+            settings.train.blocks = blocks;
+            text::<TrainSettings>(&settings)
+        };
+        assert!(!of(1).contains("blocks") && of(0) == of(1), "{}", of(1));
+        assert!(of(4).contains("blocks=4\n") && of(4) != of(2), "{}", of(4));
+    }
 }

@@ -18,5 +18,6 @@ pub(crate) mod prompts;
 pub(crate) mod recompute;
 pub(crate) mod region_cache;
 pub(crate) mod scene_tree;
+pub(crate) mod seams;
 pub(crate) mod selected;
 pub(crate) mod traces;

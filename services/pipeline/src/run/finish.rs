@@ -7,7 +7,7 @@ use super::options::{RunOptions, Summary};
 use super::plan::RunPlan;
 use super::prepare::PreparedRun;
 use super::stages::NODES;
-use crate::artifacts::cache;
+use crate::artifacts::{cache, seams};
 use crate::transients::TrainFit;
 use crate::{RunError, RunFolder};
 use segwild_flow::{cpu, trace};
@@ -51,6 +51,7 @@ pub fn finish(
         splats: splats.unwrap_or(0),
         paused_at: paused,
         train_fit: splats.and_then(|_| TrainFit::of(folder)),
+        seams: splats.and_then(|_| seams::of(folder)),
         held_out: scores,
         made: counts[0],
         cached: counts[1],

@@ -8,7 +8,7 @@ use crate::{RunError, Settings};
 use segwild_flow::codec::SIZE_LIMIT;
 use segwild_objective::{EmbedAppearance, GswAppearance};
 use segwild_scene::{Scene, View};
-use segwild_trainer::{AppearanceModel, LpipsNet, TrainSettings, splat_cap, stereo_bytes};
+use segwild_trainer::{AppearanceModel, LpipsNet, TrainSettings, splat_cap, stereo_bytes, trained_share};
 use std::fmt;
 use std::path::Path;
 
@@ -21,8 +21,12 @@ const PER_OBSERVATION: f64 = 60.0;
 /// Copies of a splat's parameters that are held at most: they and Adam's two moments in the trainer and in a checkpoint,
 /// gradients, snapshot; and space for the scene tree, which grows when most of those are freed.
 const COPIES: f64 = 12.0;
+/// The same of a splat that is rendered and not trained, in a training by blocks: it has no moments.
+const FROZEN_COPIES: f64 = 5.0;
 /// Copies of a splat's parameters in a checkpoint: they and Adam's two moments.
 const CHECKPOINT_COPIES: f64 = 3.0;
+/// Numbers of blocks that are tried where the memory budget decides. More hardly take less memory: all splats are rendered.
+const BLOCKS: [usize; 5] = [2, 4, 8, 16, 32];
 /// The same as [`COPIES`] for imported splats: the file's bytes, the splats as read and as placed, the model, and one in
 /// reserve.
 const IMPORT_COPIES: f64 = 5.0;
@@ -191,7 +195,10 @@ fn with_one_photo(settings: &Settings, scene: &Scene) -> f64 {
     let splats = most_splats(settings, scene) as f64;
     let (degree, copies) = match &scene.imported {
         Some(imported) => (imported.file.sh_degree, IMPORT_COPIES),
-        None => (settings.train.sh_degree, COPIES),
+        None => {
+            let trained = trained_share(scene, settings.train.blocks);
+            (settings.train.sh_degree, FROZEN_COPIES + trained * (COPIES - FROZEN_COPIES))
+        }
     };
     let bands = f64::from((degree + 1).pow(2));
     let training = 4.0 * (11.0 + 3.0 * bands) * copies + PER_SPLAT;
@@ -247,7 +254,8 @@ pub(crate) fn fits_accelerator(settings: &Settings, scene: &Scene) -> Result<(),
         // They are rendered, not trained, in buffers that the engine keeps within the budget.
         return Ok(());
     }
-    let splats = splat_cap(&settings.train, scene, settings.scene.size);
+    // Blocks are trained from the host, and rendered like imported splats. The whole scene is trained before, by few splats.
+    let splats = splat_cap(&settings.train, scene, settings.scene.size) / settings.train.blocks.max(1);
     let (embedding_size, networks) = match settings.train.appearance_model {
         AppearanceModel::None | AppearanceModel::Affine => (0, None),
         // `auto` may choose it.
@@ -264,7 +272,8 @@ pub(crate) fn fits_accelerator(settings: &Settings, scene: &Scene) -> Result<(),
     let size = settings.scene.size;
     Err(RunError::Request(format!(
         "training {splats} splats on photos of {size} px takes about {need} MiB of the accelerator's memory, and \
-         --memory-budget allows {budget}: give more, lower --splats or --size, or take --engine cpu"
+         --memory-budget allows {budget}: give more, lower --splats or --size, train it in several --blocks, or take \
+         --engine cpu"
     )))
 }
 
@@ -277,7 +286,8 @@ pub(crate) fn fits_records(settings: &Settings, scene: &Scene) -> Result<(), Run
         Some(imported) => (imported.file.sh_degree, 0.0, 1.0),
         None => {
             let (embedding, _) = appearance_memory(&settings.train, scene.views.len());
-            (settings.train.sh_degree, embedding, CHECKPOINT_COPIES)
+            let trained = trained_share(scene, settings.train.blocks);
+            (settings.train.sh_degree, embedding, 1.0 + trained * (CHECKPOINT_COPIES - 1.0))
         }
     };
     let parameters = 11.0 + 3.0 * f64::from((degree + 1).pow(2)) + embedding;
@@ -303,6 +313,37 @@ fn pixels(settings: &Settings, scene: &Scene) -> usize {
     cameras.map(|camera| camera.width as usize * camera.height as usize).max().unwrap_or(0)
 }
 
+/// Whether a run fits in the memory budget with the least caches, but for a few photos whose decoding does not.
+fn fits(settings: &Settings, scene: &Scene) -> bool {
+    let budget = settings.run.memory_budget as usize;
+    if budget == 0 || need(settings, scene).least_mib as usize <= budget {
+        return true;
+    }
+    let limit = decoding_limit(settings, scene);
+    let photo_fits = |view: &&View| fits_budget(settings, view, limit).is_ok();
+    let most_fit = 2 * scene.views.iter().filter(photo_fits).count() > scene.views.len();
+    let dearest = with_decoding(settings, scene) + 2.0 * LEAST_CACHE as f64 * PER_CACHED;
+    most_fit && dearest.ceil() as usize <= budget
+}
+
+/// The settings with the number of blocks that the scene is trained in, where it is left open: one, or as many as the memory
+/// budget needs. One where no number of them fits: [`within_budget`] refuses that.
+pub(crate) fn with_blocks(settings: &Settings, scene: &Scene) -> Settings {
+    let of = |blocks: usize| {
+        let mut settings = settings.clone();
+        settings.train.blocks = blocks;
+        settings
+    };
+    if scene.imported.is_some() {
+        return of(1);
+    }
+    match settings.train.blocks {
+        0 if fits(&of(1), scene) => of(1),
+        0 => BLOCKS.into_iter().map(of).find(|divided| fits(divided, scene)).unwrap_or_else(|| of(1)),
+        blocks => of(blocks),
+    }
+}
+
 /// The settings with caches that fit the memory budget, if there is one. Also limits the memory of all decoding in this
 /// process.
 ///
@@ -316,12 +357,8 @@ pub(crate) fn within_budget(settings: &Settings, scene: &Scene) -> Result<Settin
     if budget == 0 {
         return Ok(settings);
     }
-    let need = need(&settings, scene);
-    let limit = decoding_limit(&settings, scene);
-    let fits = |view: &&View| fits_budget(&settings, view, limit).is_ok();
-    let most_fit = 2 * scene.views.iter().filter(fits).count() > scene.views.len();
-    let dearest = with_decoding(&settings, scene) + 2.0 * LEAST_CACHE as f64 * PER_CACHED;
-    if need.least_mib as usize > budget && (!most_fit || dearest.ceil() as usize > budget) {
+    if !fits(&settings, scene) {
+        let need = need(&settings, scene);
         return Err(RunError::Request(format!(
             "this run needs about {need}, and --memory-budget allows {budget}: give more, or lower --splats or --size"
         )));
@@ -413,6 +450,50 @@ mod tests {
             before = now;
         }
         assert_eq!(before, 8);
+    }
+
+    #[test]
+    fn a_budget_that_is_too_small_for_the_whole_scene_divides_it_into_as_few_blocks_as_fit() {
+        let view = |i: usize| View {
+            name: format!("{i}.jpg"),
+            camera: Camera { width: 64, height: 48, fx: 50.0, fy: 50.0, cx: 32.0, cy: 24.0 },
+            pose: Pose::look_at(Vec3::X * i as f32, Vec3::X * i as f32 + Vec3::Z, Vec3::NEG_Y),
+            photo: Photo {
+                path: "none".into(),
+                ignore: None,
+                usable: None,
+                lens: None,
+                seal: Seal::default(),
+                reading: Default::default(),
+            },
+            test: false,
+        };
+        let row = scene((0..200).map(view).collect());
+        let mut settings = Settings::default();
+        settings.train.splats = 400_000;
+        let least = |settings: &Settings| need(settings, &row).least_mib;
+        let whole = least(&settings);
+        assert_eq!(with_blocks(&settings, &row).train.blocks, 1, "no budget");
+        let mut before = 1;
+        for share in [1.0, 0.9, 0.75, 0.6] {
+            settings.run.memory_budget = (f64::from(whole) * share) as u32;
+            let fitted = with_blocks(&settings, &row);
+            assert!(fitted.train.blocks >= before, "{share}: {}", fitted.train.blocks);
+            assert!(least(&fitted) <= settings.run.memory_budget, "{share}");
+            within_budget(&fitted, &row).expect("it fits");
+            let mut fewer = fitted.clone();
+            fewer.train.blocks = (fitted.train.blocks / 2).max(1);
+            let is_least = fitted.train.blocks == 1 || least(&fewer) > settings.run.memory_budget;
+            assert!(is_least, "{share}: {} blocks do as well", fewer.train.blocks);
+            before = fitted.train.blocks;
+        }
+        assert!(before > 1);
+        settings.run.memory_budget = whole / 4;
+        let refused = within_budget(&with_blocks(&settings, &row), &row).expect_err("all is rendered at once");
+        assert!(refused.to_string().contains(&format!("{whole} MiB")), "{refused}");
+        settings.train.blocks = 3;
+        assert_eq!(with_blocks(&settings, &row).train.blocks, 3, "a given number stays");
+        segwild_scene::limit_decoding(None);
     }
 
     #[test]

@@ -6,6 +6,7 @@ use crate::output::evaluate::HeldOut;
 use crate::transients::TrainFit;
 use segwild_flow::{Events, Stopper};
 use segwild_scene::Skipped;
+use segwild_trainer::SeamCheck;
 use segwild_vision::Providers;
 use serde::Serialize;
 
@@ -51,6 +52,8 @@ pub struct Summary {
     pub paused_at: Option<u32>,
     /// How the scene fits the photos that it was trained on; `None` where the run ended before they were compared.
     pub train_fit: Option<TrainFit>,
+    /// How well photos are shown at the seams of a scene that was trained by blocks.
+    pub seams: Option<SeamCheck>,
     /// Held-out scores, if photos were held out.
     pub held_out: Option<HeldOut>,
     /// Per-photo artefacts that were made.

@@ -116,7 +116,15 @@ pub fn prepare(
     );
 
     let steps_open = settings.steps_open(&scene);
-    let decided = settings.decided(&scene);
+    let divided = memory::with_blocks(settings, &scene);
+    if divided.train.blocks > settings.train.blocks.max(1) {
+        let words = format!(
+            "the training does not fit in --memory-budget as a whole: the scene is trained in {} blocks",
+            divided.train.blocks
+        );
+        events.info(Some("geometry"), words);
+    }
+    let decided = divided.decided(&scene);
     memory::fits_records(&decided, &scene)?;
     let mut settings = memory::within_budget(&decided, &scene)?;
     let providers = providers_of(folder, &settings, options)?;
@@ -229,6 +237,10 @@ fn engine_of(settings: &Settings, scene: &Scene, options: &RunOptions) -> Result
     options.events.info(None, format!("splats are computed by {why}"));
     if engine.name() == "gpu" && settings.train.lambda_lpips > 0.0 {
         let words = "LPIPS is computed on the CPU: with --lambda-lpips each step's render is read back, and the splats learn there";
+        options.events.warn(None, words);
+    }
+    if engine.name() == "gpu" && settings.train.blocks > 1 {
+        let words = "blocks are trained from the host: with --blocks each step's gradients are read back, and the splats learn there";
         options.events.warn(None, words);
     }
     Ok(engine)

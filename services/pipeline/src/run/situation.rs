@@ -3,6 +3,7 @@
 use super::choice;
 use super::continued::ContinuedTraining;
 use super::examine::examine_photos;
+use super::memory;
 use super::poses::scene_or_photos;
 use crate::artifacts::described::ALL_DESCRIBED;
 use crate::artifacts::digests::photo_digest;
@@ -63,7 +64,7 @@ impl Situation {
         };
         let providers = Providers::from_settings(&settings.vision)?;
         let steps_open = settings.steps_open(&scene);
-        let settings = &settings.decided(&scene);
+        let settings = &memory::with_blocks(settings, &scene).decided(&scene);
         let engine = choose_engine(&settings.run, drop)?.engine;
         let corrections = Corrections::find(&scene, folder, &settings.scene.transient_masks)?;
         let corrected = corrections.in_words(&scene);

@@ -11,6 +11,8 @@ const LEAST_SEEN: f32 = 0.02;
 const OUTLIERS: f32 = 0.02;
 /// Most points that are projected into a photo that saw none, evenly over all.
 const PROJECTED: usize = 8192;
+/// Most points that decide where blocks lie, evenly over all.
+const DECIDING: usize = 1 << 16;
 
 /// A box along the axes. It is half-open: its lower sides belong to it, its upper sides do not.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,8 +63,15 @@ impl Division {
     /// Divides a scene into `count` blocks by median splits of camera centres and points on the ground plane; into fewer where these
     /// are too few, or lie at one position.
     pub fn of(scene: &Scene, count: usize) -> Division {
+        let boxes = Division::boxes(scene, count);
+        Division { photos: photos(scene, &boxes.blocks), ..boxes }
+    }
+
+    /// The blocks without their photos.
+    fn boxes(scene: &Scene, count: usize) -> Division {
         let cameras = scene.views.iter().filter(|view| !view.test).map(|view| view.pose.centre());
-        let positions = cameras.chain(scene.points.iter().map(|point| point.position));
+        let every = scene.points.len().div_ceil(DECIDING).max(1);
+        let positions = cameras.chain(scene.points.iter().step_by(every).map(|point| point.position));
         let positions: Vec<Vec3> = positions.filter(|position| position.is_finite()).collect();
         let mut blocks = Vec::with_capacity(count);
         split(positions.clone(), count, ground_axes(scene), Aabb::EVERYWHERE, &mut blocks);
@@ -73,7 +82,6 @@ impl Division {
         let shares = division.blocks.iter().map(|block| share(&|position| block.border.contains(position)));
         division.shares = shares.collect();
         division.seam_share = share(&|position| division.at_seam(position));
-        division.photos = photos(scene, &division.blocks);
         division
     }
 
@@ -99,8 +107,8 @@ pub fn trained_share(scene: &Scene, blocks: usize) -> f64 {
     if blocks < 2 {
         return 1.0;
     }
-    let Division { shares, seam_share, .. } = Division::of(scene, blocks);
-    let largest = shares.into_iter().fold(seam_share, f32::max);
+    let boxes = Division::boxes(scene, blocks);
+    let largest = boxes.shares.iter().copied().fold(boxes.seam_share, f32::max);
     f64::from(largest).clamp(1.0 / blocks as f64, 1.0)
 }
 

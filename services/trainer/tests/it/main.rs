@@ -2,6 +2,7 @@
 
 mod wall;
 
+mod blocks;
 mod colours;
 mod cut_outs;
 mod exports;

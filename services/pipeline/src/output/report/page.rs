@@ -7,6 +7,7 @@ use crate::artifacts::auto_choice::AutoChoice;
 use crate::artifacts::folder::Loaded;
 use crate::artifacts::history::{self, Moment};
 use crate::artifacts::images::ImageFiles;
+use crate::artifacts::seams;
 use crate::output::cover::cover;
 use crate::output::evaluate::{HeldOut, HeldOutScore, held_out_render};
 use crate::output::render::{RenderContent, SceneRenderer};
@@ -116,6 +117,9 @@ fn figures(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
     }
     if let Some(fit) = TrainFit::of(folder) {
         row("PSNR on training photos", fit.in_words());
+    }
+    if let Some(check) = seams::of(folder) {
+        row("blocks", check.in_words());
     }
     if let Some(field) = &loaded.field {
         let kept = 100.0 * field.pca.explained_variance();

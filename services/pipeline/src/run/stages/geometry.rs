@@ -5,6 +5,7 @@ use crate::artifacts::cache::TRANSIENTS;
 use crate::artifacts::checkpoints::Keeper;
 use crate::artifacts::folder::MODEL;
 use crate::artifacts::history::{self, HISTORY, Moment};
+use crate::artifacts::seams;
 use crate::run::context::RunContext;
 use crate::run::need::{Extent, Need};
 use crate::run::node::{Performer, StageNode, StageWork};
@@ -185,6 +186,10 @@ impl GeometryStage {
                 let seconds = began.elapsed().as_secs_f64();
                 run.setup.options.events.metric(name, "checkpoint_s", seconds, None);
                 Ok(())
+            }
+            TrainOutcome::Seams(check) => {
+                run.intact()?;
+                seams::write(run.setup.folder, &run.keys().training, &check)
             }
             TrainOutcome::Paused(_) | TrainOutcome::Done(..) if again => {
                 *self = GeometryStage::Trained;

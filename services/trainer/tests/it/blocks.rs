@@ -1,0 +1,161 @@
+//! Training by blocks: two rooms side by side, with one wall through both.
+
+use crate::wall::{assert_sane, bytes, engine, noise};
+use glam::{DVec3, Vec3};
+use segwild_raster::{Channels, CpuEngine, ProjectOptions, Rasterizer};
+use segwild_scene::{Camera, Photo, Point, Pose, Scene, SceneFrame, Seal, Splats, View};
+use segwild_trainer::{
+    AppearanceModel, Photos, Protocol, TrainPhoto, TrainSettings, Trainer, evaluate, trained_share,
+};
+use std::convert::Infallible;
+use std::sync::Arc;
+
+const VIEWS: usize = 16;
+/// Views held out: in either room, and where they meet.
+const HELD_OUT: [usize; 3] = [3, 8, 13];
+
+/// The wall, from x = -2 to x = 2; the second room starts at 0 and is darker.
+fn rooms() -> Splats {
+    let mut splats = Splats { sh_degree: 0, ..Splats::default() };
+    for i in 0..56 * 16 {
+        let (x, y) = (i % 56, i / 56);
+        let at = [x as f32 / 55.0 * 4.0 - 2.0, y as f32 / 15.0 * 1.2 - 0.6, 0.05 * noise(i, 9)];
+        splats.means.push(at);
+        splats.log_scales.push([0.045f32.ln(); 3]);
+        splats.rotations.push([1.0, 0.0, 0.0, 0.0]);
+        splats.opacities.push(4.0);
+        let light = if x < 28 { 1.0 } else { 0.6 };
+        let patch = x / 4 + 20 * (y / 4);
+        let colour = [0, 1, 2].map(|k| light * (0.15 + 0.7 * noise(patch, k)));
+        splats.sh.extend(colour.map(|c| (c - 0.5) / 0.282_094_79));
+    }
+    splats
+}
+
+/// Cameras along the wall, each of which sees a quarter of it.
+fn scene() -> Scene {
+    let truth = rooms();
+    let view = |i: usize| {
+        let x = i as f32 / (VIEWS - 1) as f32 * 2.9 - 1.45;
+        let eye = Vec3::new(x, 0.1 * (2.0 * x).cos(), -1.0 - 0.1 * (i % 3) as f32);
+        let aside = if i.is_multiple_of(2) { 0.15 } else { -0.15 };
+        View {
+            name: format!("{i:02}.jpg"),
+            camera: Camera { width: 48, height: 36, fx: 48.0, fy: 48.0, cx: 24.0, cy: 18.0 },
+            pose: Pose::look_at(eye, Vec3::new(x + aside, 0.0, 0.0), Vec3::NEG_Y),
+            photo: Photo {
+                path: "none".into(),
+                ignore: None,
+                usable: None,
+                lens: None,
+                seal: Seal::default(),
+                reading: Default::default(),
+            },
+            test: HELD_OUT.contains(&i),
+        }
+    };
+    let point = |i: usize| Point {
+        position: truth.mean(i) + 0.01 * Vec3::new(noise(i, 3), noise(i, 4), noise(i, 5)),
+        colour: [0, 1, 2].map(|k| truth.sh[3 * i + k] * 0.282_094_79 + 0.5),
+        track: vec![],
+    };
+    Scene {
+        views: (0..VIEWS).map(view).collect(),
+        points: (0..truth.len()).step_by(3).map(point).collect(),
+        skipped: vec![],
+        notes: vec![],
+        frame: SceneFrame { origin: DVec3::ZERO, scale: 1.0 },
+        imported: None,
+    }
+}
+
+fn photos(scene: &Scene) -> Arc<dyn Photos> {
+    let (splats, engine) = (rooms(), CpuEngine::new());
+    let photo = |view: &View| {
+        let projected =
+            engine.project(&splats, &view.camera, &view.pose, &ProjectOptions::default()).unwrap();
+        let colours = projected.shade();
+        let image = projected.blend(&Channels { count: 3, values: &colours }).unwrap().image;
+        TrainPhoto { image, valid: None, sky: None, transients: None }
+    };
+    let all: Vec<TrainPhoto> = scene.views.iter().map(photo).collect();
+    Arc::new(move |i: usize| Ok::<_, Infallible>(all[i].clone()))
+}
+
+fn settings(blocks: usize) -> TrainSettings {
+    TrainSettings {
+        blocks,
+        effort: 0.3,
+        splats: 900,
+        sh_degree: 1,
+        appearance_model: AppearanceModel::None,
+        robust: false,
+        ..TrainSettings::default()
+    }
+}
+
+#[test]
+fn two_blocks_show_what_one_shows_and_the_seam_between_them_does_not_stand_out() {
+    let scene = scene();
+    let photos = photos(&scene);
+    let train = |blocks: usize| {
+        let mut trainer = Trainer::new(engine(), &scene, photos.clone(), settings(blocks)).unwrap();
+        let mut trained = Vec::new();
+        while !trainer.is_done() {
+            trained.push(trainer.step().unwrap().view);
+        }
+        let seams = trainer.seam_check(&|| false).unwrap();
+        let model = trainer.snapshot().unwrap();
+        assert_sane(&model, 900);
+        assert_eq!(model.trained_on.len(), VIEWS - HELD_OUT.len());
+        assert!(model.stats.psnr.is_some());
+        let score =
+            evaluate(&model, &*engine(), &scene, photos.clone(), &HELD_OUT, Protocol::Plain, None).unwrap();
+        (score, seams, trained)
+    };
+    let (whole, none, _) = train(1);
+    assert_eq!(none, None, "a whole scene has no seams");
+    let (divided, seams, trained) = train(2);
+    assert!(divided.psnr > whole.psnr - 0.5, "{} dB in two blocks, {} in one", divided.psnr, whole.psnr);
+    let seams = seams.unwrap();
+    assert_eq!(seams.blocks, 2);
+    assert!(seams.photos >= 2 && !seams.stands_out(), "{}", seams.in_words());
+    // The first room does not come while the second one has its turn.
+    let runs = trained.chunk_by(|a, b| (*a < 4) == (*b < 4)).map(<[usize]>::len);
+    assert!(runs.max().unwrap() > 60, "a block is trained on its own photos");
+}
+
+#[test]
+fn a_training_by_blocks_that_stops_anywhere_ends_in_the_same_bytes() {
+    let scene = scene();
+    let photos = photos(&scene);
+    for appearance_model in [AppearanceModel::None, AppearanceModel::Embed] {
+        let settings = TrainSettings { steps: 60, splats: 400, appearance_model, ..settings(3) };
+        let run = |stops: &[u32]| {
+            let mut trainer = Trainer::new(engine(), &scene, photos.clone(), settings.clone()).unwrap();
+            for &stop in stops {
+                while trainer.steps_done() < stop {
+                    trainer.step().unwrap();
+                }
+                let held = wincode::deserialize(&bytes(&trainer.checkpoint().unwrap())).unwrap();
+                trainer = Trainer::resume(engine(), &scene, photos.clone(), held).unwrap();
+            }
+            // Past the end the blocks take further turns.
+            while trainer.steps_done() < 80 {
+                trainer.step().unwrap();
+            }
+            bytes(&trainer.checkpoint().unwrap())
+        };
+        // The whole scene is trained up to step 15, the last block up to step 54.
+        assert!(run(&[]) == run(&[1, 15, 16, 31, 54, 60, 67]), "{appearance_model}: stopping matters");
+    }
+}
+
+#[test]
+fn a_block_is_a_part_of_the_scene_and_a_damaged_number_of_blocks_is_refused() {
+    let scene = scene();
+    assert!((0.5..0.7).contains(&trained_share(&scene, 2)), "{}", trained_share(&scene, 2));
+    let many = TrainSettings { blocks: 1000, ..settings(1) };
+    let refused = Trainer::new(engine(), &scene, photos(&scene), many).err().unwrap().to_string();
+    assert!(refused.contains("blocks"), "{refused}");
+}
