@@ -1,7 +1,7 @@
 //! A training by blocks: what starts a turn ([`crate::blocks`]). Everything else is a training like any other, on fewer photos and with
 //! some splats frozen.
 
-use crate::blocks::{BlockPart, BlockTurns};
+use crate::blocks::{Aabb, BlockPart, BlockTurns};
 use crate::density::Strategy;
 use crate::initial::first_splats;
 use crate::sampler::Sampler;
@@ -54,6 +54,15 @@ impl Trainer {
         }
     }
 
+    /// The box in which splats may be removed for want of photos that need or support them; `None`: everywhere. Around the core of a
+    /// block such photos may take part in another one.
+    pub(crate) fn core(&self) -> Option<Aabb> {
+        match (&self.blocks, self.turn.map(|turn| turn.part)) {
+            (Some(blocks), Some(BlockPart::Block(block))) => Some(blocks.division.blocks[block].core),
+            _ => None,
+        }
+    }
+
     /// Starts the turn of the coming step, where that is the first of it: its splats alone are trained from then on, on its photos.
     pub(crate) fn start_turn(&mut self) -> Result<(), TrainError> {
         let Some(blocks) = self.blocks.clone() else { return Ok(()) };
@@ -65,13 +74,8 @@ impl Trainer {
             return Ok(());
         }
         self.download()?;
-        let division = &blocks.division;
-        let is_trained = |mean: &[f32; 3]| match turn.part {
-            BlockPart::Coarse => true,
-            BlockPart::Block(block) => division.blocks[block].border.contains(Vec3::from(*mean)),
-            BlockPart::Seams => division.at_seam(Vec3::from(*mean)),
-        };
-        let marked: Vec<bool> = self.state.params.splats.means.iter().map(is_trained).collect();
+        let means = &self.state.params.splats.means;
+        let marked: Vec<bool> = means.iter().map(|mean| blocks.trains(&turn, Vec3::from(*mean))).collect();
         let added = match turn.part {
             BlockPart::Block(block) if !turn.late => self.points_of_block(&blocks, block, &marked),
             BlockPart::Block(_) | BlockPart::Coarse | BlockPart::Seams => None,

@@ -11,6 +11,7 @@ use crate::photometric::StepPhoto;
 use crate::pixels::{at_centres, first_background};
 use crate::state::mean_quality;
 use crate::trainer::{StepReport, Trainer};
+use glam::Vec3;
 use segwild_objective::compare::{self, Compared, LeaveOut, LossOutput, PerceptualLoss};
 use segwild_objective::transients::VisibilityMap;
 use segwild_objective::{AnyAppearance, AppearanceMaps};
@@ -169,8 +170,16 @@ impl Trainer {
             multi_view_pruning.add_photo(&*projected, photo.width, &contradicted, |i| photo.counts(i))?;
         }
         drop(resident);
-        let mut kept = multi_view_pruning.supported();
-        kept.retain(|&i| i < n);
+        let kept = multi_view_pruning.supported().into_iter().filter(|&i| i < n);
+        let kept: Vec<usize> = match self.core() {
+            None => kept.collect(),
+            Some(core) => {
+                let mut stays: Vec<bool> =
+                    splats.means[..n].iter().map(|mean| !core.contains(Vec3::from(*mean))).collect();
+                kept.for_each(|i| stays[i] = true);
+                (0..n).filter(|&i| stays[i]).collect()
+            }
+        };
         if kept.is_empty() || kept.len() == n {
             return Ok(0);
         }
@@ -189,7 +198,7 @@ impl Trainer {
         let views = self.state.sampler.views();
         let quality = mean_quality(&views, &self.state.quality);
         let engine = self.engine.clone();
-        let (cap, frozen) = (self.cap(), self.state.params.frozen_shapes());
+        let (cap, core, frozen) = (self.cap(), self.core(), self.state.params.frozen_shapes());
         let (photos, posed, antialias) = (&mut self.photos, &self.views, self.settings.antialias);
         let mut contribution = |trained: &Splats| {
             let whole = (!frozen.is_empty()).then(|| joined(trained.clone(), &frozen));
@@ -209,6 +218,11 @@ impl Trainer {
                 }
             }
             sum.truncate(trained.len());
+            if let Some(core) = core {
+                let around = sum.iter_mut().zip(&trained.means);
+                let around = around.filter(|(_, mean)| !core.contains(Vec3::from(**mean)));
+                around.for_each(|(sum, _)| *sum = f32::INFINITY);
+            }
             Ok(sum)
         };
         let state = &mut self.state;

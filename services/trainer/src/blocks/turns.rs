@@ -1,6 +1,7 @@
 //! Which part of a divided scene is trained when.
 
 use super::division::Division;
+use glam::Vec3;
 use segwild_scene::{Point, Scene};
 
 /// Shares of the steps for the coarse training of the whole scene, and for the seams at the end; the blocks share the rest in
@@ -15,7 +16,7 @@ const MOST_COARSE: f32 = 0.5;
 pub(crate) enum BlockPart {
     /// All of it, by few splats on small photos. Photos learn their appearance, background and pose here, and keep them.
     Coarse,
-    /// The border box of the block at this index.
+    /// The block at this index, with its border.
     Block(usize),
     /// What lies in the border boxes of two blocks or more.
     Seams,
@@ -93,6 +94,21 @@ impl BlockTurns {
         }
         let started = self.turns.iter().rev().find(|turn| turn.first <= step);
         *started.unwrap_or(&self.turns[0])
+    }
+
+    /// Whether a splat at a position is trained in a turn. A block trains its core and, of its border, what lies in blocks that have
+    /// yet to come: the photos of this block alone would spoil what the others have finished.
+    pub fn trains(&self, turn: &BlockTurn, position: Vec3) -> bool {
+        let blocks = &self.division.blocks;
+        match turn.part {
+            BlockPart::Coarse => true,
+            BlockPart::Seams => self.division.at_seam(position),
+            BlockPart::Block(block) if turn.late => blocks[block].core.contains(position),
+            BlockPart::Block(block) => {
+                let finished = blocks[..block].iter().any(|before| before.core.contains(position));
+                blocks[block].border.contains(position) && !finished
+            }
+        }
     }
 
     /// The views that are trained on in a part, in ascending order.

@@ -95,7 +95,7 @@ fn settings(blocks: usize) -> TrainSettings {
 }
 
 #[test]
-fn two_blocks_show_what_one_shows_and_the_seam_between_them_does_not_stand_out() {
+fn two_blocks_show_what_one_shows_and_the_seam_does_not_stand_out() {
     let scene = scene();
     let photos = photos(&scene);
     let train = |blocks: usize| {
@@ -152,7 +152,7 @@ fn a_training_by_blocks_that_stops_anywhere_ends_in_the_same_bytes() {
 }
 
 #[test]
-fn a_block_is_a_part_of_the_scene_and_a_damaged_number_of_blocks_is_refused() {
+fn a_block_is_a_part_of_the_scene_and_too_many_blocks_are_refused() {
     let scene = scene();
     assert!((0.5..0.7).contains(&trained_share(&scene, 2)), "{}", trained_share(&scene, 2));
     let many = TrainSettings { blocks: 1000, ..settings(1) };
