@@ -73,7 +73,8 @@ pub enum TrainOutcome {
     Snapshot(Arc<Model>),
     /// Where to continue from.
     Checkpoint(Arc<Checkpoint>),
-    /// How well the photos are shown at the seams of the blocks, before [`TrainOutcome::Done`] of a scene that has several.
+    /// How well the photos are shown at the seams of the blocks, before [`TrainOutcome::Done`] of a scene that has
+    /// several.
     Seams(SeamCheck),
     /// The requested step is reached, and the training is not over; its checkpoint was sent before.
     Paused(u32),

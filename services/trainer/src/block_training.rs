@@ -1,5 +1,5 @@
-//! A training by blocks: what starts a turn ([`crate::blocks`]). Everything else is a training like any other, on fewer photos and with
-//! some splats frozen.
+//! A training by blocks: what starts a turn ([`crate::blocks`]). Everything else is a training like any other, on fewer
+//! photos and with some splats frozen.
 
 use crate::blocks::{Aabb, BlockPart, BlockTurns};
 use crate::density::Strategy;
@@ -16,11 +16,12 @@ use std::sync::Arc;
 /// Points that start splats in a block, at least: fewer show no surface.
 const LEAST_POINTS: usize = 32;
 /// The warning about a scene that has several blocks by the settings, and one in fact.
-const UNDIVIDED: &str = "the scene cannot be divided into blocks: its cameras and points are too few, or lie at one position";
+const UNDIVIDED: &str =
+    "the scene cannot be divided into blocks: its cameras and points are too few, or lie at one position";
 
 impl Trainer {
-    /// Divides the scene, where the settings name several blocks. `given`: the scene with its poses as given; `points`: its points
-    /// with their colours.
+    /// Divides the scene, where the settings name several blocks. `given`: the scene with its poses as given; `points`:
+    /// its points with their colours.
     pub(crate) fn divided(mut self, given: &Scene, points: &[Point]) -> Trainer {
         if self.settings.blocks < 2 {
             return self;
@@ -34,8 +35,8 @@ impl Trainer {
         self
     }
 
-    /// Whether appearance, background and pose of the photos stay as they are: as the coarse training of the whole scene left them,
-    /// so that blocks do not differ in light.
+    /// Whether appearance, background and pose of the photos stay as they are: as the coarse training of the whole
+    /// scene left them, so that blocks do not differ in light.
     pub(crate) fn photos_are_fixed(&self) -> bool {
         self.turn.is_some_and(|turn| turn.part != BlockPart::Coarse)
     }
@@ -54,8 +55,8 @@ impl Trainer {
         }
     }
 
-    /// The box in which splats may be removed for want of photos that need or support them; `None`: everywhere. Around the core of a
-    /// block such photos may take part in another one.
+    /// The box in which splats may be removed for want of photos that need or support them; `None`: everywhere. Around
+    /// the core of a block such photos may take part in another one.
     pub(crate) fn core(&self) -> Option<Aabb> {
         match (&self.blocks, self.turn.map(|turn| turn.part)) {
             (Some(blocks), Some(BlockPart::Block(block))) => Some(blocks.division.blocks[block].core),
@@ -63,7 +64,8 @@ impl Trainer {
         }
     }
 
-    /// Starts the turn of the coming step, where that is the first of it: its splats alone are trained from then on, on its photos.
+    /// Starts the turn of the coming step, where that is the first of it: its splats alone are trained from then on, on
+    /// its photos.
     pub(crate) fn start_turn(&mut self) -> Result<(), TrainError> {
         let Some(blocks) = self.blocks.clone() else { return Ok(()) };
         let step = self.state.step;
@@ -97,8 +99,8 @@ impl Trainer {
         Ok(())
     }
 
-    /// New splats at the points in the core of a block, where it has fewer splats than points and the splat budget allows more. Not
-    /// for `gsw`, whose embeddings start from the extent of all splats.
+    /// New splats at the points in the core of a block, where it has fewer splats than points and the splat budget
+    /// allows more. Not for `gsw`, whose embeddings start from the extent of all splats.
     fn points_of_block(&self, blocks: &BlockTurns, block: usize, marked: &[bool]) -> Option<Splats> {
         if matches!(self.state.appearance, AnyAppearance::Gsw(_)) {
             return None;

@@ -90,8 +90,8 @@ pub(crate) fn initial_splats(
     Initial { splats, pixel, warnings }
 }
 
-/// First splats at points. `pixels`: scene units per pixel of the nearest photo at each; `distances`: its mean distance to its three
-/// neighbours.
+/// First splats at points. `pixels`: scene units per pixel of the nearest photo at each; `distances`: its mean distance
+/// to its three neighbours.
 pub(crate) fn first_splats(
     positions: Vec<[f32; 3]>,
     colours: &[[f32; 3]],

@@ -21,8 +21,8 @@ impl Trainer {
     }
 
     /// Uploads the splats to the device, and the appearance model's networks with them, unless the strategy works on
-    /// single splats at every step, or LPIPS is in the loss, which the host computes from the render, or a block is trained: the
-    /// device has moments for all splats or none.
+    /// single splats at every step, or LPIPS is in the loss, which the host computes from the render, or a block is
+    /// trained: the device has moments for all splats or none.
     pub(crate) fn upload(&mut self) -> Result<(), TrainError> {
         let part = self.photos_are_fixed() || self.state.params.trained() < self.state.params.splats.len();
         if self.is_on_device() || !self.may_upload || self.settings.lambda_lpips > 0.0 || part {

@@ -23,8 +23,8 @@ pub(crate) struct Rates {
 
 /// Splats with their optimisers, one per property; the base colour and the higher degrees are two.
 ///
-/// The first [`Params::trained`] splats are trained. The others are frozen: they are rendered, have gradients and no moments, and stay
-/// as they are. A step so takes as long as with all of them trained, and less memory.
+/// The first [`Params::trained`] splats are trained. The others are frozen: they are rendered, have gradients and no
+/// moments, and stay as they are. A step so takes as long as with all of them trained, and less memory.
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub(crate) struct Params {
     pub splats: Splats,
@@ -135,8 +135,8 @@ impl Params {
         shapes_of(&self.splats, self.trained()..self.splats.len())
     }
 
-    /// Trains the marked splats from now on, and `added` ones with their embeddings after them; the others are frozen and go to the
-    /// end. The optimiser starts over.
+    /// Trains the marked splats from now on, and `added` ones with their embeddings after them; the others are frozen
+    /// and go to the end. The optimiser starts over.
     pub fn train_only(&mut self, marked: &[bool], (added, added_embeddings): (&Splats, &[f32])) {
         let n = self.splats.len();
         let (trained, frozen): (Vec<usize>, Vec<usize>) = (0..n).partition(|&i| marked[i]);
@@ -160,7 +160,8 @@ impl Params {
         }
     }
 
-    /// One optimiser step of the splats that are trained. The gradients are those of all splats; `sh` are those of [`Splats::sh`].
+    /// One optimiser step of the splats that are trained. The gradients are those of all splats; `sh` are those of
+    /// [`Splats::sh`].
     pub fn update(&mut self, grads: &SplatGrads, sh: &[f32], rates: &Rates) {
         let n = self.trained();
         let s = &mut self.splats;
@@ -283,8 +284,8 @@ impl Params {
         self.splats = Splats { sh, sh_degree: self.splats.sh_degree, ..joined(shapes, &frozen) };
     }
 
-    /// One optimiser step of the embeddings, of splats that are trained and have `radii` above 0; the numbers `fading` have weight
-    /// decay. Gradients and radii are those of all splats.
+    /// One optimiser step of the embeddings, of splats that are trained and have `radii` above 0; the numbers `fading`
+    /// have weight decay. Gradients and radii are those of all splats.
     pub fn update_embeddings(&mut self, grads: &[f32], radii: &[f32], rates: &Rates, fading: Range<usize>) {
         let size = self.embedding_size();
         if size == 0 {
@@ -313,7 +314,8 @@ impl Params {
             .chain(splat_embeddings)
     }
 
-    /// Of the splats that are trained those at `parents`, in that order, with their optimiser states. Frozen splats stay.
+    /// Of the splats that are trained those at `parents`, in that order, with their optimiser states. Frozen splats
+    /// stay.
     pub fn remap(&mut self, parents: &[usize]) {
         let frozen = self.trained()..self.splats.len();
         self.groups().for_each(|g| g.select(parents));

@@ -36,8 +36,8 @@ impl Schedule {
         Schedule { first: 0, steps, coarse, splat_embedding_from, sh_degree, finest: 0 }
     }
 
-    /// The schedule of a turn in a training by blocks: few splats learn the whole scene from small photos, and a block goes on from
-    /// there with the whole photos.
+    /// The schedule of a turn in a training by blocks: few splats learn the whole scene from small photos, and a block
+    /// goes on from there with the whole photos.
     pub fn of_turn(settings: &TrainSettings, turn: &BlockTurn) -> Schedule {
         let whole = Schedule::new(settings);
         let &BlockTurn { part, first, steps, late } = turn;

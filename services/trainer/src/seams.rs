@@ -10,10 +10,12 @@ use serde::{Deserialize, Serialize};
 
 /// Least share of a photo's pixels at seams, and elsewhere, for the two to be compared.
 const COMPARED: f32 = 0.02;
-/// Share of a pixel's light that comes from splats at seams, from which it lies at a seam, and up to which it lies elsewhere.
+/// Share of a pixel's light that comes from splats at seams, from which it lies at a seam, and up to which it lies
+/// elsewhere.
 const AT_SEAM: f32 = 0.5;
 const ELSEWHERE: f32 = 0.1;
-/// A seam stands out in a photo where the residual there is so many times that elsewhere, and so much larger. By choice.
+/// A seam stands out in a photo where the residual there is so many times that elsewhere, and so much larger. By
+/// choice.
 const STANDS_OUT: (f32, f32) = (1.5, 0.01);
 
 /// How well the photos of a scene that was trained by blocks are shown at the seams.
@@ -39,7 +41,8 @@ pub struct SeamPhoto {
     pub residual: SeamResidual,
 }
 
-/// Mean absolute colour differences of a render and its photo, from 0 to 1, over pixels that show no sky and no transient.
+/// Mean absolute colour differences of a render and its photo, from 0 to 1, over pixels that show no sky and no
+/// transient.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SeamResidual {
     /// Where splats lie in the border boxes of two blocks or more.
@@ -87,7 +90,8 @@ impl SeamCheck {
         match worst {
             None => format!("trained in {blocks} blocks; no photo shows a seam"),
             Some(SeamPhoto { photo, residual }) => format!(
-                "trained in {blocks} blocks; the {photos} photos that show seams differ from the scene by {}, the worst, {photo}, by {}",
+                "trained in {blocks} blocks; the {photos} photos that show seams differ from the scene by {}, the \
+                 worst, {photo}, by {}",
                 mean.in_words(),
                 residual.in_words()
             ),
@@ -96,7 +100,8 @@ impl SeamCheck {
 }
 
 impl Trainer {
-    /// Compares the photos with the scene at the seams of its blocks; `None` where it was trained as a whole. `stopping` ends the work.
+    /// Compares the photos with the scene at the seams of its blocks; `None` where it was trained as a whole.
+    /// `stopping` ends the work.
     ///
     /// # Errors
     /// When the rasteriser refuses, or the work is stopped.
@@ -157,7 +162,8 @@ mod tests {
         };
         let level = of(&[("a.jpg", 0.03, 0.03), ("b.jpg", 0.035, 0.03), ("c.jpg", 0.09, 0.12)]);
         assert!(!level.stands_out() && level.photos == 3, "{level:?}");
-        assert!(level.in_words().contains("the worst, b.jpg, by 3.5 % there and 3.0 % elsewhere"), "{level:?}");
+        let worst = "the worst, b.jpg, by 3.5 % there and 3.0 % elsewhere";
+        assert!(level.in_words().contains(worst), "{}", level.in_words());
         let seam = of(&[("a.jpg", 0.03, 0.03), ("b.jpg", 0.06, 0.03)]);
         assert!(seam.stands_out() && (seam.mean.at_seams - 0.045).abs() < 1e-6, "{seam:?}");
         let none = of(&[]);

@@ -123,8 +123,9 @@ segwild_scene::settings! {
         grow_gain: f32 = 0.01 => 0.0..=100.0,
         /// When the intermediate scene for the mask stage is taken, as a share of the steps.
         snapshot_at: f32 = 0.5 => 0.0..=1.0,
-        /// Blocks that the scene is trained in, one after another; splats outside a block are rendered and not trained, so that the
-        /// training takes less memory, and longer. 0: one, or where that does not fit in the memory budget as many as it needs.
+        /// Blocks that the scene is trained in, one after another; splats outside a block are rendered and not trained,
+        /// so that the training takes less memory, and longer. 0: one, or where that does not fit in the memory budget
+        /// as many as it needs.
         blocks: usize = 0 => 0..=64,
         /// Memory for decoded photos, in MiB; older ones are read again when needed.
         photo_cache_mib: usize = 256 => 0..=1 << 20,
@@ -199,13 +200,14 @@ impl TrainSettings {
         TrainSettings { steps: self.steps_for(photos), effort: 1.0, ..self.clone() }
     }
 
-    /// Of the splats that a training may come to, as many as it has at first: those of a block, where there are several.
+    /// Of the splats that a training may come to, as many as it has at first: those of a block, where there are
+    /// several.
     pub(crate) fn first_cap(&self, most: usize) -> usize {
         (most / self.blocks.max(1)).max(1)
     }
 
-    /// Photos of one scene overlap: they count by the square root (docs/experiments/2026-11-22-how-many-steps.md). Blocks are scenes
-    /// of fewer photos each.
+    /// Photos of one scene overlap: they count by the square root (docs/experiments/2026-11-22-how-many-steps.md).
+    /// Blocks are scenes of fewer photos each.
     fn steps_for(&self, photos: usize) -> u32 {
         match self.steps {
             0 => {

@@ -63,8 +63,8 @@ impl TrainState {
         Painter { view, appearance: &self.appearance, background }
     }
 
-    /// What a step changes: the splats and their density control, and what it changes beside them. `fixed`: whether the photo's
-    /// appearance and background stay as they are.
+    /// What a step changes: the splats and their density control, and what it changes beside them. `fixed`: whether the
+    /// photo's appearance and background stay as they are.
     pub fn halves(&mut self, view: usize, fixed: bool) -> (&mut Params, &mut dyn Density, PhotoSide<'_>) {
         let side = PhotoSide {
             appearance: &mut self.appearance,

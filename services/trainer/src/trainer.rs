@@ -88,7 +88,8 @@ impl Trainer {
         Trainer::from_points(engine, scene, photos, settings, true)
     }
 
-    /// The same; by blocks only where that is `divided`. Otherwise it has no more splats than a training by blocks has at first.
+    /// The same; by blocks only where that is `divided`. Otherwise it has no more splats than a training by blocks has
+    /// at first.
     pub(crate) fn from_points(
         engine: Arc<dyn Engine>,
         scene: &Scene,

@@ -25,7 +25,8 @@ const COPIES: f64 = 12.0;
 const FROZEN_COPIES: f64 = 5.0;
 /// Copies of a splat's parameters in a checkpoint: they and Adam's two moments.
 const CHECKPOINT_COPIES: f64 = 3.0;
-/// Numbers of blocks that are tried where the memory budget decides. More hardly take less memory: all splats are rendered.
+/// Numbers of blocks that are tried where the memory budget decides. More hardly take less memory: all splats are
+/// rendered.
 const BLOCKS: [usize; 5] = [2, 4, 8, 16, 32];
 /// The same as [`COPIES`] for imported splats: the file's bytes, the splats as read and as placed, the model, and one in
 /// reserve.
@@ -254,7 +255,8 @@ pub(crate) fn fits_accelerator(settings: &Settings, scene: &Scene) -> Result<(),
         // They are rendered, not trained, in buffers that the engine keeps within the budget.
         return Ok(());
     }
-    // Blocks are trained from the host, and rendered like imported splats. The whole scene is trained before, by few splats.
+    // Blocks are trained from the host, and rendered like imported splats. The whole scene is trained before, by few
+    // splats.
     let splats = splat_cap(&settings.train, scene, settings.scene.size) / settings.train.blocks.max(1);
     let (embedding_size, networks) = match settings.train.appearance_model {
         AppearanceModel::None | AppearanceModel::Affine => (0, None),
@@ -272,8 +274,8 @@ pub(crate) fn fits_accelerator(settings: &Settings, scene: &Scene) -> Result<(),
     let size = settings.scene.size;
     Err(RunError::Request(format!(
         "training {splats} splats on photos of {size} px takes about {need} MiB of the accelerator's memory, and \
-         --memory-budget allows {budget}: give more, lower --splats or --size, train it in several --blocks, or take \
-         --engine cpu"
+         --memory-budget allows {budget}: give more, lower --splats or --size, train it in several --blocks, or \
+         take --engine cpu"
     )))
 }
 
@@ -326,8 +328,8 @@ fn fits(settings: &Settings, scene: &Scene) -> bool {
     most_fit && dearest.ceil() as usize <= budget
 }
 
-/// The settings with the number of blocks that the scene is trained in, where it is left open: one, or as many as the memory
-/// budget needs. One where no number of them fits: [`within_budget`] refuses that.
+/// The settings with the number of blocks that the scene is trained in, where it is left open: one, or as many as the
+/// memory budget needs. One where no number of them fits: [`within_budget`] refuses that.
 pub(crate) fn with_blocks(settings: &Settings, scene: &Scene) -> Settings {
     let of = |blocks: usize| {
         let mut settings = settings.clone();
@@ -489,7 +491,8 @@ mod tests {
         }
         assert!(before > 1);
         settings.run.memory_budget = whole / 4;
-        let refused = within_budget(&with_blocks(&settings, &row), &row).expect_err("all is rendered at once");
+        let divided = with_blocks(&settings, &row);
+        let refused = within_budget(&divided, &row).expect_err("all is rendered at once");
         assert!(refused.to_string().contains(&format!("{whole} MiB")), "{refused}");
         settings.train.blocks = 3;
         assert_eq!(with_blocks(&settings, &row).train.blocks, 3, "a given number stays");

@@ -240,7 +240,8 @@ fn engine_of(settings: &Settings, scene: &Scene, options: &RunOptions) -> Result
         options.events.warn(None, words);
     }
     if engine.name() == "gpu" && settings.train.blocks > 1 {
-        let words = "blocks are trained from the host: with --blocks each step's gradients are read back, and the splats learn there";
+        let words = "blocks are trained from the host: with --blocks each step's gradients are read back, and the \
+                     splats learn there";
         options.events.warn(None, words);
     }
     Ok(engine)

@@ -51,7 +51,8 @@ pub(crate) struct SceneBlock {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Division {
     pub blocks: Vec<SceneBlock>,
-    /// Per block, the views that take part in it, in ascending order. Each view that is trained on takes part in one or more.
+    /// Per block, the views that take part in it, in ascending order. Each view that is trained on takes part in one or
+    /// more.
     pub photos: Vec<Vec<usize>>,
     /// Per block, the share of cameras and points in its border box.
     pub shares: Vec<f32>,
@@ -60,8 +61,8 @@ pub(crate) struct Division {
 }
 
 impl Division {
-    /// Divides a scene into `count` blocks by median splits of camera centres and points on the ground plane; into fewer where these
-    /// are too few, or lie at one position.
+    /// Divides a scene into `count` blocks by median splits of camera centres and points on the ground plane; into
+    /// fewer where these are too few, or lie at one position.
     pub fn of(scene: &Scene, count: usize) -> Division {
         let boxes = Division::boxes(scene, count);
         Division { photos: photos(scene, &boxes.blocks), ..boxes }
@@ -101,8 +102,8 @@ impl Division {
     }
 }
 
-/// The largest share of a scene's splats that a training by so many blocks trains at a time, in (0, 1]: of a block with its border,
-/// of what lies at seams, or of the few splats that are trained on all photos.
+/// The largest share of a scene's splats that a training by so many blocks trains at a time, in (0, 1]: of a block with
+/// its border, of what lies at seams, or of the few splats that are trained on all photos.
 pub fn trained_share(scene: &Scene, blocks: usize) -> f64 {
     if blocks < 2 {
         return 1.0;
@@ -211,7 +212,7 @@ mod tests {
     use glam::DVec3;
     use segwild_scene::{Camera, Observation, Photo, Point, Pose, Random, SceneFrame, Seal};
 
-    /// A street along x with cameras that look across it, and a far outlier; z is up.
+    /// A street along x with cameras that face it from one side, and a far outlier; z is up.
     fn street(cameras: usize, points: usize, tracks: bool) -> Scene {
         let view = |i: usize| View {
             name: format!("{i:03}.jpg"),

@@ -4,8 +4,8 @@ use super::division::Division;
 use glam::Vec3;
 use segwild_scene::{Point, Scene};
 
-/// Shares of the steps for the coarse training of the whole scene, and for the seams at the end; the blocks share the rest in
-/// proportion to their photos. By choice: each photo comes as often as in a training of the whole scene.
+/// Shares of the steps for the coarse training of the whole scene, and for the seams at the end; the blocks share the
+/// rest in proportion to their photos. By choice: each photo comes as often as in a training of the whole scene.
 const COARSE: f32 = 0.25;
 const SEAMS: f32 = 0.1;
 /// Most of the steps that the coarse training takes to come to every photo.
@@ -14,7 +14,8 @@ const MOST_COARSE: f32 = 0.5;
 /// A part of a divided scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum BlockPart {
-    /// All of it, by few splats on small photos. Photos learn their appearance, background and pose here, and keep them.
+    /// All of it, by few splats on small photos. Photos learn their appearance, background and pose here, and keep
+    /// them.
     Coarse,
     /// The block at this index, with its border.
     Block(usize),
@@ -46,8 +47,8 @@ pub(crate) struct BlockTurns {
 }
 
 impl BlockTurns {
-    /// The turns of a training of so many steps on a scene in `count` blocks, which start with these points; `None` where the scene
-    /// cannot be divided.
+    /// The turns of a training of so many steps on a scene in `count` blocks, which start with these points; `None`
+    /// where the scene cannot be divided.
     pub fn of(scene: &Scene, points: &[Point], count: usize, steps: u32) -> Option<BlockTurns> {
         let division = Division::of(scene, count);
         if division.blocks.len() < 2 {
@@ -78,7 +79,8 @@ impl BlockTurns {
         Some(BlockTurns { points, division, turns, steps })
     }
 
-    /// The turn of a step. After the last one blocks take turns of a step per photo, for as long as the training goes on.
+    /// The turn of a step. After the last one blocks take turns of a step per photo, for as long as the training goes
+    /// on.
     pub fn turn_at(&self, step: u32) -> BlockTurn {
         let photos = self.division.photos.iter().map(|photos| photos.len() as u32);
         let round: u32 = photos.clone().sum();
@@ -96,8 +98,8 @@ impl BlockTurns {
         *started.unwrap_or(&self.turns[0])
     }
 
-    /// Whether a splat at a position is trained in a turn. A block trains its core and, of its border, what lies in blocks that have
-    /// yet to come: the photos of this block alone would spoil what the others have finished.
+    /// Whether a splat at a position is trained in a turn. A block trains its core and, of its border, what lies in
+    /// blocks that have yet to come: the photos of this block alone would spoil what the others have finished.
     pub fn trains(&self, turn: &BlockTurn, position: Vec3) -> bool {
         let blocks = &self.division.blocks;
         match turn.part {
