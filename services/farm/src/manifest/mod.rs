@@ -217,13 +217,16 @@ fn memory(
     budget: &Needs,
 ) -> Result<u64, SceneEntryError> {
     let share = budget.memory_bytes / u64::from(budget.cores.max(1)) * u64::from(cores.min(budget.cores));
-    // Why a scene cannot be opened is for its own process to say: the others go on.
-    let Ok(need) = MemoryNeed::of(&scene.path, settings) else { return Ok(declared.unwrap_or(share)) };
-    let (least, most) = (u64::from(need.least_mib) << 20, u64::from(need.most_mib) << 20);
     let (whose, given) = match declared {
         Some(bytes) if bytes <= budget.memory_bytes => ("its `memory`", bytes),
         _ => ("the budget", budget.memory_bytes),
     };
+    let given_mib = u32::try_from(given >> 20).unwrap_or(u32::MAX);
+    // Why a scene cannot be opened is for its own process to say: the others go on.
+    let Ok(need) = MemoryNeed::within(given_mib, &scene.path, settings) else {
+        return Ok(declared.unwrap_or(share));
+    };
+    let (least, most) = (u64::from(need.least_mib) << 20, u64::from(need.most_mib) << 20);
     if given < least {
         return Err(SceneEntryError::Memory { need: need.to_string(), whose, given_mib: given >> 20 });
     }

@@ -74,14 +74,16 @@ impl fmt::Display for MemoryNeed {
 }
 
 impl MemoryNeed {
-    /// What a run of the scene in folder `scene` would take. Reads its cameras and points and the heads of its photos.
+    /// What a run of the scene in folder `scene` would take: by blocks, where the settings leave their number open and the
+    /// whole scene does not fit in `budget` MiB. Reads its cameras and points and the heads of its photos.
     ///
     /// # Errors
     /// When the scene cannot be opened.
-    pub fn of(scene: &Path, settings: &Settings) -> Result<MemoryNeed, RunError> {
-        let settings = settings.anchored();
+    pub fn within(budget: u32, scene: &Path, settings: &Settings) -> Result<MemoryNeed, RunError> {
+        let mut settings = settings.anchored();
         let scene = Scene::open(scene, &settings.scene)?;
-        Ok(need(&settings, &scene))
+        settings.run.memory_budget = budget;
+        Ok(need(&with_blocks(&settings, &scene), &scene))
     }
 }
 
