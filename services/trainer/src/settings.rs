@@ -1,6 +1,7 @@
 //! The settings of the training.
 
 use crate::TrainError;
+use crate::blocks::SEAMS;
 use segwild_objective::GswWidth;
 use segwild_scene::Scene;
 use segwild_scene::settings::Group;
@@ -121,7 +122,8 @@ segwild_scene::settings! {
         antialias: bool = true,
         /// Stop growing when 10 % more splats gain less than this many dB on the training photos.
         grow_gain: f32 = 0.01 => 0.0..=100.0,
-        /// When the intermediate scene for the mask stage is taken, as a share of the steps.
+        /// When the intermediate scene for the mask stage is taken, as a share of the steps; of a scene in several blocks at
+        /// 0.9 at the earliest.
         snapshot_at: f32 = 0.5 => 0.0..=1.0,
         /// Blocks that the scene is trained in, one after another; splats outside a block are rendered and not trained,
         /// so that the training takes less memory, and longer. 0: one, or where that does not fit in the memory budget
@@ -221,7 +223,9 @@ impl TrainSettings {
 
     /// The step after which [`crate::Trainer::snapshot`] is to be taken for the mask stage; at least 1.
     pub fn snapshot_step(&self) -> u32 {
-        ((f64::from(self.snapshot_at) * f64::from(self.steps)).round() as u32).clamp(1, self.steps)
+        // With several blocks not before each had its turn: until then most of the scene is coarse.
+        let at = if self.blocks > 1 { self.snapshot_at.max(1.0 - SEAMS) } else { self.snapshot_at };
+        ((f64::from(at) * f64::from(self.steps)).round() as u32).clamp(1, self.steps)
     }
 }
 

@@ -191,7 +191,7 @@ impl Trainer {
     /// Lets the density strategy act on the splats as they are after the step.
     fn control_density(&mut self) -> Result<Option<DensityChange>, TrainError> {
         let step = self.schedule.since_start(self.state.step);
-        if !self.state.strategy.as_dyn().acts(step) {
+        if !self.state.strategy.as_dyn().acts(step) || self.state.params.trained() == 0 {
             return Ok(None);
         }
         let mut reshaping = self.lend_shapes()?;

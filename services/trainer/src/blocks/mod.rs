@@ -12,4 +12,4 @@ mod turns;
 
 pub(crate) use division::Aabb;
 pub use division::trained_share;
-pub(crate) use turns::{BlockPart, BlockTurn, BlockTurns};
+pub(crate) use turns::{BlockPart, BlockTurn, BlockTurns, SEAMS};

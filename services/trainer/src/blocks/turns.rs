@@ -7,7 +7,7 @@ use segwild_scene::{Point, Scene};
 /// Shares of the steps for the coarse training of the whole scene, and for the seams at the end; the blocks share the
 /// rest in proportion to their photos. By choice: each photo comes as often as in a training of the whole scene.
 const COARSE: f32 = 0.25;
-const SEAMS: f32 = 0.1;
+pub(crate) const SEAMS: f32 = 0.1;
 /// Most of the steps that the coarse training takes to come to every photo.
 const MOST_COARSE: f32 = 0.5;
 

@@ -24,7 +24,7 @@ fn rooms() -> Splats {
         splats.log_scales.push([0.045f32.ln(); 3]);
         splats.rotations.push([1.0, 0.0, 0.0, 0.0]);
         splats.opacities.push(4.0);
-        let light = if x < 28 { 1.0 } else { 0.6 };
+        let light = if x < 28 { 1.0 } else { 0.85 };
         let patch = x / 4 + 20 * (y / 4);
         let colour = [0, 1, 2].map(|k| light * (0.15 + 0.7 * noise(patch, k)));
         splats.sh.extend(colour.map(|c| (c - 0.5) / 0.282_094_79));
