@@ -14,7 +14,7 @@ const NOTHING: &[&str] = &[];
 
 /// Every setting of the groups `train`, `masks` and `features`: another value, and the stages that depend on it where
 /// the others have their defaults.
-const TABLE: [(&str, &str, &[&str]); 55] = [
+const TABLE: [(&str, &str, &[&str]); 56] = [
     ("steps", "61", GEOMETRY),
     // The run says how many steps: nothing is left to the scene.
     ("effort", "2", &[]),
@@ -48,6 +48,7 @@ const TABLE: [(&str, &str, &[&str]); 55] = [
     ("grow_gain", "0.02", GEOMETRY),
     // The trained scene does not depend on where its snapshot is taken.
     ("snapshot_at", "0.4", SNAPSHOT),
+    ("blocks", "2", GEOMETRY),
     ("photo_cache_mib", "7", NOTHING),
     ("sasm", "false", MASKS),
     ("prompt_budget", "12", MASKS),
