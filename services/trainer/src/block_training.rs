@@ -93,7 +93,8 @@ impl Trainer {
         let settings = TrainSettings { steps, ..self.settings.clone() };
         self.state.strategy = Strategy::new(&settings, self.state.params.trained());
         self.sample_photos(blocks.photos(turn.part));
-        if !matches!(self.state.appearance, AnyAppearance::Gsw(_)) {
+        // Photos grow finer from the coarse training to the blocks, and by new splats a block is to learn more of them.
+        if !turn.late && !matches!(self.state.appearance, AnyAppearance::Gsw(_)) {
             self.state.pause_until = step + self.schedule.pause();
         }
         Ok(())

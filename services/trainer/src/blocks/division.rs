@@ -134,13 +134,7 @@ fn range(positions: &[Vec3], axis: usize) -> [f32; 2] {
 }
 
 /// Divides a part of the scene with these positions into `count` blocks.
-fn split(
-    positions: Vec<Vec3>,
-    count: usize,
-    ground: [usize; 2],
-    core: Aabb,
-    blocks: &mut Vec<SceneBlock>,
-) {
+fn split(positions: Vec<Vec3>, count: usize, ground: [usize; 2], core: Aabb, blocks: &mut Vec<SceneBlock>) {
     let extent = ground.map(|axis| {
         let [low, high] = range(&positions, axis);
         high - low
@@ -191,8 +185,8 @@ fn photos(scene: &Scene, blocks: &[SceneBlock]) -> Vec<Vec<usize>> {
     }
     let takes_part = |view: usize, block: usize| {
         let (all, inside) = (seen[view].0, seen[view].1[block]);
-        inside > 0 && inside as f32 >= LEAST_SEEN * all as f32
-            || blocks[block].border.contains(scene.views[view].pose.centre())
+        let enough = inside > 0 && inside as f32 >= LEAST_SEEN * all as f32;
+        enough || blocks[block].border.contains(scene.views[view].pose.centre())
     };
     let trained: Vec<usize> = (0..scene.views.len()).filter(|&view| !scene.views[view].test).collect();
     (0..blocks.len())

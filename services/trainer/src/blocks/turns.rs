@@ -73,7 +73,7 @@ impl BlockTurns {
         let of_core = |block: usize| {
             let core = division.blocks[block].core;
             let own = points.iter().filter(|point| core.contains(point.position));
-            own.map(|point| (point.position.to_array(), point.colour)).collect()
+            own.map(|point| (point.position.to_array(), point.colour)).collect::<Vec<_>>()
         };
         let points = (0..division.blocks.len()).map(of_core).collect();
         Some(BlockTurns { points, division, turns, steps })
