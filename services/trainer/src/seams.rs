@@ -128,7 +128,8 @@ impl Trainer {
             let rendered = painter.render(&self.state.params, &*projected, &pose, None)?;
             let shown = painter.show(&rendered.frame, &camera, &pose);
             let light = projected.blend(&Channels { count: 1, values: &at_seams })?.image;
-            let share = stored.transient_share(self.state.robust.shares()[view]);
+            let most = if self.settings.robust { self.state.robust.shares()[view] } else { 0.0 };
+            let share = stored.transient_share(most);
             let transient = self.views[view].contradicted(&shown, photo, share);
             let difference = mean_difference(&shown, &photo.image());
             let mean = |within: &dyn Fn(f32) -> bool| {

@@ -39,6 +39,27 @@ fn until_a_step_and_on_from_there_is_the_same_as_straight() {
 }
 
 #[test]
+fn a_scene_in_two_blocks_stops_within_a_block_and_goes_on_to_the_same_bytes() {
+    let dir = folder();
+    let (straight, stopped) = (dir.path().join("straight"), dir.path().join("stopped"));
+    let blocks = ["--blocks", "2", "--until", "geometry"];
+    let (stdout, _) = completes(&again(&straight, &blocks));
+    assert!(stdout.contains("seams: trained in 2 blocks"), "{stdout}");
+    let seams = json(&std::fs::read(straight.join("seams.json")).expect("how the seams are shown"));
+    assert_eq!(seams["blocks"], 2, "{seams}");
+    // The coarse training takes 15 of the 60 steps, the seams the last 6.
+    completes(&again(&stopped, &["--blocks", "2", "--until", "25"]));
+    let (_, stderr) = completes(&again(&stopped, &blocks));
+    assert!(stderr.contains("goes on from step 25"), "{stderr}");
+    let file = |run: &Path, name: &str| std::fs::read(run.join(name)).expect("it is there");
+    for name in ["model.bin", "seams.json"] {
+        assert!(file(&stopped, name) == file(&straight, name), "{name}");
+    }
+    let whole = file(&shared_run().run, "model.bin");
+    assert!(file(&straight, "model.bin") != whole, "blocks change something");
+}
+
+#[test]
 fn a_torn_checkpoint_is_passed_over_for_the_one_before_and_named() {
     for damage in ["torn", "flipped", "gone"] {
         let dir = folder();
