@@ -286,11 +286,7 @@ pub(crate) async fn coco(runs: &Runs, run: &str, object: Option<ObjectId>) -> An
 pub(crate) type MadeParts = BoxStream<'static, Result<Vec<u8>, StudioError>>;
 
 /// Masks of an object, or of all, as an archive in parts as the client takes them, and the file's name.
-pub(crate) async fn masks(
-    runs: &Runs,
-    run: &str,
-    object: Option<ObjectId>,
-) -> Answered<(String, MadeParts)> {
+pub(crate) async fn masks(runs: &Runs, run: &str, object: Option<ObjectId>) -> Answered<(String, MadeParts)> {
     let request = StopsWithRequest(Stopper::new());
     let stopper = request.0.clone();
     let (name, archive) = answered(runs, run, move |studio| studio.mask_archive(object, stopper)).await?;

@@ -34,8 +34,8 @@ impl RequestCost {
             "Status" | "Farm" => RequestCost::VIEW,
             "Frame" | "Pick" | "PhotoLabels" => RequestCost::RENDER,
             "Act" | "ObjectPhotos" | "Changes" | "Retry" | "RetryOnFarm" => RequestCost::ACTION,
-            "Save" | "Coco" | "ObjectCoco" | "Masks" | "ObjectMasks" | "ObjectFile" | "LabelledPly" | "Splats"
-            | "Train" => RequestCost::EXPORT,
+            "Save" | "Coco" | "ObjectCoco" | "Masks" | "ObjectMasks" | "ObjectFile" | "LabelledPly"
+            | "Splats" | "Train" => RequestCost::EXPORT,
             _ => RequestCost::LEAST,
         }
     }

@@ -274,7 +274,9 @@ fn a_georeferenced_export_keeps_its_precision_by_an_offset() {
     for origin in [DVec3::new(448_262.3, 5_411_932.7, 35.0), DVec3::new(4_156_305.1, 671_404.6, -4_774_508.2)]
     {
         let frame = SceneFrame { origin, scale: 4.0 };
-        segwild_scene::Export { frame: &frame, antialias: true, extra: &[], provenance: None }.write(&path, &s).unwrap();
+        segwild_scene::Export { frame: &frame, antialias: true, extra: &[], provenance: None }
+            .write(&path, &s)
+            .unwrap();
         let (head, beside) = header_and_offset(&path);
         let offset = frame.offset();
         assert!(head.contains(&format!("comment offset {} {} {}\n", offset.x, offset.y, offset.z)), "{head}");
@@ -289,7 +291,9 @@ fn a_georeferenced_export_keeps_its_precision_by_an_offset() {
     }
     // Another scene into the same place: nothing of the old offset is left.
     let frame = SceneFrame { origin: DVec3::new(100.0, -20.0, 3.0), scale: 4.0 };
-    segwild_scene::Export { frame: &frame, antialias: false, extra: &[], provenance: None }.write(&path, &s).unwrap();
+    segwild_scene::Export { frame: &frame, antialias: false, extra: &[], provenance: None }
+        .write(&path, &s)
+        .unwrap();
     let (head, beside) = header_and_offset(&path);
     assert!(!head.contains("offset") && beside.is_none(), "{head}");
 }

@@ -76,8 +76,7 @@ impl ManyPhotos {
         let (engine, regions) = (engine(), self.regions(0));
         let mask = &regions[0];
         let prompts = [PromptedView { view: 0, mask, open: None, points: &[], refused: false, boxes: &[] }];
-        let settings =
-            SegmentSettings { propagate: 1, propagate_views: most, ..SegmentSettings::default() };
+        let settings = SegmentSettings { propagate: 1, propagate_views: most, ..SegmentSettings::default() };
         let request = request(&engine, &self.world.splats, &self.views, &prompts, &settings);
         let refiner = RegionRefiner { scene: self, refined: Mutex::default() };
         let selection = select(&Request { shown, ..request }, Some(&refiner)).unwrap();

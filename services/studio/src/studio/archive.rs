@@ -55,9 +55,9 @@ impl Studio {
         let provenance = serde_json::to_vec_pretty(&self.provenance_of(&kept));
         let provenance =
             provenance.map_err(|_| StudioError::Request("the settings of this run cannot be written"))?;
-        let name = id.and(kept.first()).map_or("masks.zip".into(), |object| {
-            format!("{}.masks.zip", file_stem(&object.name))
-        });
+        let name = id
+            .and(kept.first())
+            .map_or("masks.zip".into(), |object| format!("{}.masks.zip", file_stem(&object.name)));
         let mut state = self.state();
         let mut objects = VecDeque::new();
         for object in &kept {

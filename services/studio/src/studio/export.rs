@@ -121,9 +121,9 @@ impl Studio {
     /// When there is no such object, its splats are lost, the scene cannot be rendered, or `stopper` stops it.
     pub fn coco(&self, id: Option<ObjectId>, stopper: &Stopper) -> Result<(String, Vec<u8>), StudioError> {
         let (objects, labels) = self.numbered(id)?;
-        let name = id.and(objects.first()).map_or("coco.json".into(), |object| {
-            format!("{}.coco.json", file_stem(&object.name))
-        });
+        let name = id
+            .and(objects.first())
+            .map_or("coco.json".into(), |object| format!("{}.coco.json", file_stem(&object.name)));
         Ok((name, self.session.coco_masks(self.provenance_of(&objects), labels, stopper)?))
     }
 

@@ -16,7 +16,9 @@ const UTM: SceneFrame = SceneFrame { origin: DVec3::new(448_262.3, 5_411_932.7, 
 fn viewed(model: &Model, view: &View, viewer_compensates: bool) -> Image {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.ply");
-    Export { frame: &UTM, antialias: model.antialias, extra: &[], provenance: None }.write(&path, &model.splats).unwrap();
+    Export { frame: &UTM, antialias: model.antialias, extra: &[], provenance: None }
+        .write(&path, &model.splats)
+        .unwrap();
     let (splats, offset) = (ply::read(&path).unwrap(), offset_of(&path));
     let centre = view.pose.centre().as_dvec3() * UTM.scale + UTM.origin - offset;
     let rotation = view.pose.rotation;
