@@ -78,6 +78,7 @@ mod transforms_json;
 mod unposed;
 mod view;
 pub mod view_selection;
+mod wall_time;
 mod whole;
 mod window;
 
@@ -106,6 +107,7 @@ pub use similarity::Similarity;
 pub use splats::Splats;
 pub use unposed::{UnposedPhoto, UnposedPhotos};
 pub use view::{Observation, Photo, Point, Reading, Scene, Skipped, View};
+pub use wall_time::WallTime;
 pub use window::box_mean;
 
 /// Near plane: nothing nearer to the camera is rendered. In units of the scene extent (docs/method.md, section 0).

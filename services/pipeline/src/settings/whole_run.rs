@@ -1,6 +1,6 @@
 //! The settings of the run as a whole; those of its stages stand in their crates.
 
-use segwild_scene::{choice, settings};
+use segwild_scene::{WallTime, choice, settings};
 use segwild_trainer::Preset;
 
 choice! {
@@ -62,11 +62,14 @@ choice! {
 
 settings! {
     /// The run as a whole.
-    pub struct RunSettings("run", user: preset budget engine threads) {
+    pub struct RunSettings("run", user: preset budget time engine threads) {
         /// How much time to spend. It sets the defaults of the other settings.
         preset: Preset = Preset::Standard,
         /// Who decides steps, channels, appearance. What a flag or file sets stays as set.
         budget: RunBudget = RunBudget::Fixed,
+        /// Time that the whole run may take; it decides steps and splats. As 90s, 10m or 1h30m; 0: they do not depend on it. The
+        /// machine is measured first, and the run says what the time buys. What is decided is kept with the run.
+        time: WallTime = WallTime::default(),
         /// Compute threads; 0 takes all cores. The result does not depend on it.
         threads: u32 = 0 => 0..=256,
         /// What computes the splats.
