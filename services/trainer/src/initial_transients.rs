@@ -87,6 +87,18 @@ fn is_of_one_light(settings: &TrainSettings) -> bool {
     settings.appearance_model == AppearanceModel::None
 }
 
+/// The trainings of the search in a scene of so many photos that are trained on.
+pub(crate) fn search_count(settings: &TrainSettings, photos: usize) -> usize {
+    let parts = settings.cross_checks as usize;
+    let few = if is_of_one_light(settings) { FEW_OF_ONE_LIGHT } else { FEW };
+    if !settings.robust || parts < 2 || photos < few { 0 } else { parts }
+}
+
+/// The steps of each before a training of so many.
+pub(crate) fn search_steps(steps: u32) -> u32 {
+    (steps / STEPS.0).clamp(STEPS.1, STEPS.2)
+}
+
 /// Searches for transients by [`TrainSettings::cross_checks`] short trainings.
 pub(crate) fn initial_transients(
     engine: &Arc<dyn Engine>,
@@ -98,13 +110,12 @@ pub(crate) fn initial_transients(
     let unknown = || InitialTransients::unknown(scene.views.len());
     let mut found = unknown();
     let train: Vec<usize> = (0..scene.views.len()).filter(|&v| !scene.views[v].test).collect();
-    let parts = settings.cross_checks as usize;
-    let few = if is_of_one_light(settings) { FEW_OF_ONE_LIGHT } else { FEW };
-    if !settings.robust || parts < 2 || train.len() < few {
+    let parts = search_count(settings, train.len());
+    if parts == 0 {
         return Ok(found);
     }
     let short = TrainSettings {
-        steps: (settings.steps / STEPS.0).clamp(STEPS.1, STEPS.2),
+        steps: search_steps(settings.steps),
         sh_degree: settings.sh_degree.min(1),
         splats: 0,
         appearance_model: if is_of_one_light(settings) {

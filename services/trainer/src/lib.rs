@@ -105,8 +105,9 @@ pub use actor::{FindCheckpoint, TrainActor, TrainOrder, TrainOutcome};
 pub use blocks::trained_share;
 pub use checkpoint::Checkpoint;
 pub use choice::{
-    APPEARANCE_MODELS, AppearanceChoice, BudgetChoice, SIZE as CHOICE_SIZE, ShortFit, Tracks,
-    choose_appearance, choose_budget, trial_size,
+    APPEARANCE_MODELS, AppearanceChoice, BudgetChoice, SIZE as CHOICE_SIZE, ShortFit, StepSpeed, TimeBounds,
+    TimeChoice, TimeModel, TooLittleTime, Tracks, choose_appearance, choose_budget, measure_steps,
+    trial_size,
 };
 pub use density::DensityChange;
 pub use error::TrainError;

@@ -13,13 +13,19 @@ const PER_PIXEL: usize = 24;
 const PHOTOS: usize = 100;
 /// Long side up to which photos are halved for it, in pixels: the error of a point is some half of a pixel.
 const LONG_SIDE: usize = 320;
+/// The pixels of such a photo, at most.
+pub(crate) const COMPARED_PIXELS: usize = LONG_SIDE * LONG_SIDE;
 /// Less than this is too small to compare anything in it.
 const LEAST_SIDE: usize = 64;
 
 /// Bytes that stereo initialisation takes at most, before the training takes any.
 pub fn stereo_bytes(settings: &TrainSettings, photos: usize, pixels: usize) -> usize {
-    let compared = if settings.stereo > 0.0 { photos.min(PHOTOS) } else { 0 };
-    compared * pixels.min(LONG_SIDE * LONG_SIDE) * PER_PIXEL
+    compared_photos(settings, photos) * pixels.min(COMPARED_PIXELS) * PER_PIXEL
+}
+
+/// Photos that are compared, of so many.
+pub(crate) fn compared_photos(settings: &TrainSettings, photos: usize) -> usize {
+    if settings.stereo > 0.0 { photos.min(PHOTOS) } else { 0 }
 }
 
 /// Points that photos agree on, as many as are to start splats beside the reconstruction's; `initial_transients` are left out.

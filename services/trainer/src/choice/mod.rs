@@ -1,12 +1,16 @@
-//! Choice of appearance model and steps before a training: short fits that are scored on photos held out of them (method,
-//! section 9).
+//! Choice of appearance model and steps before a training: short fits that are scored on photos held out of them, and what a
+//! given time buys (method, section 9).
 
 mod appearance;
 mod budget;
+mod speed;
+mod time;
 mod tracks;
 
 pub use appearance::{APPEARANCE_MODELS, AppearanceChoice, SIZE, choose_appearance};
 pub use budget::{BudgetChoice, choose_budget, trial_size};
+pub use speed::{StepSpeed, measure_steps};
+pub use time::{TimeBounds, TimeChoice, TimeModel, TooLittleTime};
 pub use tracks::Tracks;
 
 use crate::evaluate::{render_unseen, score};
