@@ -77,8 +77,8 @@ pub use output::video::FRAMES_PER_SECOND;
 
 pub use run::{
     ActorInboxes, ActorOutcome, ActorParts, ComputingActors, DiagramFormat, Extent, MemoryNeed, Need,
-    RunOptions, Stage, StagePlan, StageVerdict, Summary, Until, UntilError, Wiring, diagram, explain, needs,
-    run, run_with_actors, stages_of,
+    RunOptions, Stage, StagePlan, StageVerdict, Summary, Until, UntilError, Wiring, diagram, explain,
+    explain_time, needs, run, run_with_actors, stages_of,
 };
 pub use segwild_segmenter::AnswerStep;
 pub use segwild_trainer::{AppearanceChoice, BudgetChoice, Preset};

@@ -70,6 +70,7 @@ pub fn run(matches: &ArgMatches) -> Result<(), Failure> {
     let json = matches.get_flag("json");
     let until = matches.get_one::<Until>("until").copied();
     if matches.get_flag("explain") {
+        use_threads(settings.run.threads);
         return tell_plan(&scene, &out, &settings, until, json);
     }
     let _server = listen(matches, out.clone(), false)?;
@@ -113,9 +114,14 @@ fn tell_plan(
     until: Option<Until>,
     json: bool,
 ) -> Result<(), Failure> {
-    let plans = segwild_pipeline::explain(scene, &RunFolder::at(out), settings, until)?;
+    let folder = RunFolder::at(out);
+    let plans = segwild_pipeline::explain(scene, &folder, settings, until)?;
     if json {
-        return plans.iter().try_for_each(print_json);
+        plans.iter().try_for_each(print_json)?;
+        return match segwild_pipeline::explain_time(scene, &folder, settings)? {
+            Some(bought) => print_json(&serde_json::json!({ "time": bought })),
+            None => Ok(()),
+        };
     }
     for StagePlan { stage, verdict, why } in plans {
         let what = match verdict {
@@ -129,7 +135,10 @@ fn tell_plan(
         };
         print_line(format!("{stage:>9}  {what:24} {}", why.join("; ")).trim_end())?;
     }
-    Ok(())
+    match segwild_pipeline::explain_time(scene, &folder, settings)? {
+        Some(bought) => print_line(&format!("{:>9}  {bought}", "time")),
+        None => Ok(()),
+    }
 }
 
 /// `runs/NAME` for a scene folder of that name.

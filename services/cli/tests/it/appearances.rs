@@ -204,6 +204,35 @@ fn a_budget_is_decided_once_reported_with_its_evidence_and_undone_by_name() {
 }
 
 #[test]
+fn a_time_is_decided_once_reported_and_refused_where_it_does_not_suffice() {
+    let dir = folder();
+    let (photos, run) = (show(scene()), show(&dir.path().join("run")));
+    let open: Vec<&str> =
+        QUICK.chunks(2).filter(|flag| !["--splats", "--steps"].contains(&flag[0])).flatten().copied().collect();
+    let with = |flags: &[&'static str]| {
+        [&["run", &photos, "--out", &run, "--until", "geometry"][..], &open, flags].concat()
+    };
+    refuses(&with(&["--time", "10"]), 2, &["`10` does not fit `time`", "90s, 10m, 2h or 1h30m"]);
+    let both = ["--time", "10m", "--steps", "60", "--splats", "500"];
+    refuses(&with(&both), 2, &["--steps 60 and --splats 500 are both set"]);
+    let little = ["--time", "1s", "--steps", "4000"];
+    refuses(&with(&little), 2, &["a time of 1s does not suffice", "4000 steps", "or more"]);
+    let stdout = works(&with(&["--time", "10m", "--steps", "60", "--json"]));
+    let choice = json(&std::fs::read(dir.path().join("run/time.json")).expect("the choice"));
+    let why = choice["why"].as_str().expect("a sentence");
+    assert!(stdout.contains(why), "the run says what it buys: {why}");
+    assert!(why.starts_with("10m buy 60 steps (as set) and ") && why.contains(" a step here"), "{why}");
+    assert_eq!((choice["steps"].as_u64(), choice["splats"].as_u64()), (Some(60), Some(0)));
+    // Remembered with the run, and not decided again.
+    let plan = works(&with(&["--explain", "--json"]));
+    assert!(plan.lines().any(|line| line.contains("\"geometry\"") && line.contains("\"reused\"")), "{plan}");
+    assert!(plan.contains(why) && plan.contains("decided when the run started"), "{plan}");
+    // Another time is measured, and nothing is kept of it.
+    let plan = works(&with(&["--time", "20m", "--explain"]));
+    assert!(plan.contains("20m buy 60 steps (as set)") && plan.contains("measured now"), "{plan}");
+}
+
+#[test]
 fn splats_are_written_in_the_format_that_the_ending_names() {
     let run = show(&shared_run().run);
     let dir = folder();

@@ -1,7 +1,7 @@
 //! What is chosen before the training, as the cache and the run folder keep it.
 
 use crate::{RunBudget, Settings};
-use segwild_trainer::{AppearanceChoice, AppearanceModel, BudgetChoice};
+use segwild_trainer::{AppearanceChoice, AppearanceModel, BudgetChoice, TimeChoice};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -52,6 +52,26 @@ impl AutoChoice for BudgetChoice {
     fn decided(&self, settings: &Settings, _: bool) -> Settings {
         let mut settings = settings.clone();
         settings.train.steps = self.steps;
+        settings
+    }
+    fn why(&self) -> &str {
+        &self.why
+    }
+}
+
+impl AutoChoice for TimeChoice {
+    const KIND: &'static str = "time";
+    const RULE: u32 = 1;
+    const FILE: &'static str = "time.json";
+    fn is_open(settings: &Settings) -> bool {
+        !settings.run.time.is_none()
+    }
+    fn decided(&self, settings: &Settings, _: bool) -> Settings {
+        let mut settings = settings.clone();
+        settings.train.steps = self.steps;
+        if self.splats > 0 {
+            settings.train.splats = self.splats;
+        }
         settings
     }
     fn why(&self) -> &str {

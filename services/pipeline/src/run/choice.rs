@@ -27,7 +27,7 @@ fn key<C: AutoChoice>(keys: &Keys, flag: bool) -> Key {
 }
 
 /// The choice, if it was made before.
-fn kept<C: AutoChoice>(cache: &Cache, key: &Key) -> Result<Option<C>, CacheError> {
+pub(super) fn kept<C: AutoChoice>(cache: &Cache, key: &Key) -> Result<Option<C>, CacheError> {
     let text: Option<String> = cache.get_typed(key, C::KIND)?;
     Ok(text.and_then(|text| serde_json::from_str(&text).ok()))
 }
@@ -130,24 +130,33 @@ impl Chooser<'_> {
         Ok((choice.decided(settings, self.steps_open), Some(choice)))
     }
 
-    /// Photos with long side `size`. They are few and small and are requested many times, so that they are held in
-    /// memory.
     fn photos(&self, size: u32, settings: &Settings) -> Arc<dyn Photos> {
-        let (scene, sky) = (self.scene.clone(), self.sky.clone());
-        // They are held below, with their skies.
-        let store = PhotoStore::new(scene.clone(), size, 0);
-        let held: Mutex<BTreeMap<usize, Result<TrainPhoto, Arc<SceneError>>>> = Mutex::default();
-        let read = move |view: usize| -> Result<TrainPhoto, Arc<SceneError>> {
-            let loaded = store.read(view)?;
-            // A photo is used even without its sky.
-            let seen = scene.points_in(view, loaded.image.width, loaded.image.height);
-            let sky: Option<Mask> = sky.sky_above(&loaded.image, &seen).ok();
-            Ok(TrainPhoto::new(Arc::unwrap_or_clone(loaded), sky))
-        };
-        let photos = move |view: usize| -> Result<TrainPhoto, Arc<SceneError>> {
-            let mut held = lock(&held);
-            held.entry(view).or_insert_with(|| read(view)).clone()
-        };
-        Arc::new(Sifted { photos, refused: (self.keys)(settings).refused() })
+        held_photos(self.scene, self.sky, (self.keys)(settings).refused(), size)
     }
+}
+
+/// Photos with long side `size` and their skies; `refused`: per view, why its photo cannot be used. They are few and are requested
+/// many times, so that they are held in memory.
+pub(super) fn held_photos(
+    scene: &Arc<Scene>,
+    sky: &Arc<dyn SkyDetector>,
+    refused: Vec<Option<String>>,
+    size: u32,
+) -> Arc<dyn Photos> {
+    let (scene, sky) = (scene.clone(), sky.clone());
+    // They are held below, with their skies.
+    let store = PhotoStore::new(scene.clone(), size, 0);
+    let held: Mutex<BTreeMap<usize, Result<TrainPhoto, Arc<SceneError>>>> = Mutex::default();
+    let read = move |view: usize| -> Result<TrainPhoto, Arc<SceneError>> {
+        let loaded = store.read(view)?;
+        // A photo is used even without its sky.
+        let seen = scene.points_in(view, loaded.image.width, loaded.image.height);
+        let sky: Option<Mask> = sky.sky_above(&loaded.image, &seen).ok();
+        Ok(TrainPhoto::new(Arc::unwrap_or_clone(loaded), sky))
+    };
+    let photos = move |view: usize| -> Result<TrainPhoto, Arc<SceneError>> {
+        let mut held = lock(&held);
+        held.entry(view).or_insert_with(|| read(view)).clone()
+    };
+    Arc::new(Sifted { photos, refused })
 }

@@ -10,13 +10,15 @@ use super::results::{StageResults, StageVerdict};
 use super::situation::{KeptResults, Situation};
 use super::stage::Stage;
 use super::stages::NODES;
+use super::time::{TimeMeasurement, fits_time};
 use crate::artifacts::keys::{End, Keys};
 use crate::code;
-use crate::{RunError, RunFolder, Settings, Until};
+use crate::{RunError, RunFolder, Settings, Until, choose_engine};
 use segwild_flow::ledger::{StageRow, State};
 use segwild_flow::{Cache, Key, Ledger};
 use segwild_scene::{few_of_photos, named_and_counted};
-use segwild_vision::VisionSettings;
+use segwild_trainer::AppearanceModel;
+use segwild_vision::{Providers, VisionSettings};
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -86,6 +88,58 @@ pub fn explain(
         }
     }
     Ok(plans)
+}
+
+/// Returns what the time of these settings buys, in a sentence: as it was decided when the run started, or as this machine is
+/// measured now. `None` without a time. Nothing is kept: the run measures again.
+///
+/// # Errors
+/// When the scene, the settings or the run folder cannot be used, or the time does not suffice.
+pub fn explain_time(
+    path: &Path,
+    folder: &RunFolder,
+    settings: &Settings,
+) -> Result<Option<String>, RunError> {
+    let time = settings.run.time;
+    if time.is_none() {
+        return Ok(None);
+    }
+    folder.stays_inside()?;
+    let settings = settings.anchored();
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    if let Err(photos) = scene_or_photos(&path, &settings.scene)?
+        && !folder.poses().plan(&photos, &settings.poses)?.is_done()
+    {
+        return Ok(Some(format!("{time} buy steps and splats once the photos have poses")));
+    }
+    let ledger = match folder.ledger().is_file() {
+        true => Some(Ledger::open_read_only(folder.ledger())?),
+        false => None,
+    };
+    let now = Situation::of(&path, folder, ledger.as_ref(), &settings, &End::Settings)?;
+    fits_time(&now.scene, &settings)?;
+    if let Some(decided) = &now.time {
+        return Ok(Some(format!("{}; this was decided when the run started, and stays", decided.why)));
+    }
+    let mut settings = now.settings.clone();
+    let open = settings.train.appearance_model == AppearanceModel::Auto;
+    if open {
+        settings.train.appearance_model = AppearanceModel::Affine;
+    }
+    let engine = choose_engine(&settings.run, drop)?.engine;
+    let providers = Providers::from_settings(&settings.vision)?;
+    let measurement = TimeMeasurement {
+        scene: &now.scene,
+        engine: &engine,
+        providers: &providers,
+        lpips: now.lpips.as_ref(),
+        keys: &now.keys,
+        steps_open: now.steps_open,
+        stopping: &|| false,
+    };
+    let why = measurement.choose(&settings, &|| 0.0)?.why;
+    let before = if open { ", after it has chosen the appearance model" } else { "" };
+    Ok(Some(format!("{why}; measured now, and again when the run starts{before}")))
 }
 
 /// What a run would do whose poses are to be computed: what depends on them is not known before.

@@ -31,6 +31,7 @@ mod speed;
 mod stage;
 mod stages;
 mod tally;
+mod time;
 mod tree;
 mod until;
 mod view_slots;
@@ -38,7 +39,7 @@ mod wiring;
 mod work;
 
 pub use diagram::{DiagramFormat, diagram};
-pub use explain::{StagePlan, explain};
+pub use explain::{StagePlan, explain, explain_time};
 pub use graph::{needs, stages_of};
 pub use memory::MemoryNeed;
 pub use need::{Extent, Need};

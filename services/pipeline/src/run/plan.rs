@@ -6,13 +6,16 @@ use super::continued::ContinuedTraining;
 use super::options::RunOptions;
 use super::prepare::PreparedRun;
 use super::stage::Stage;
+use super::time::{ANY_ENGINE, TimeMeasurement, decided_once};
 use super::until::Until;
+use crate::artifacts::auto_choice::AutoChoice;
 use crate::artifacts::cache::SNAPSHOT;
 use crate::artifacts::keys::{End, Keys, TrainingOrigin};
 use crate::transients::{Corrections, KnownTransients};
 use crate::{RunError, RunFolder, Settings};
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{Cache, Key, Phase};
+use segwild_trainer::TimeChoice;
 use std::sync::Arc;
 
 /// What a run is going to do.
@@ -71,6 +74,7 @@ pub fn plan(prepared: &PreparedRun, folder: &RunFolder, options: &RunOptions) ->
         options.events.info(Some(Stage::Geometry.name()), format!("{kind} {why}"));
         Ok(())
     })?;
+    let settings = with_time(prepared, folder, options, &cache, settings, &named)?;
     let mut keys = name(&settings);
     // The same training on another engine: it is continued where this engine has no checkpoint.
     let elsewhere = ["cpu", "gpu"].into_iter().filter(|other| *other != engine.name());
@@ -93,4 +97,40 @@ pub fn plan(prepared: &PreparedRun, folder: &RunFolder, options: &RunOptions) ->
         _ => Stage::Report,
     };
     Ok(RunPlan { settings, cache, keys, elsewhere, origin, steps, last, known })
+}
+
+/// The settings with what their time buys, if they have one: as it was decided when the run started, or measured now.
+fn with_time(
+    prepared: &PreparedRun,
+    folder: &RunFolder,
+    options: &RunOptions,
+    cache: &Cache,
+    settings: Settings,
+    named: &dyn Fn(&Settings, &Corrections, &str, &End) -> Keys,
+) -> Result<Settings, RunError> {
+    if !TimeChoice::is_open(&settings) {
+        return Ok(settings);
+    }
+    let PreparedRun { scene, providers, engine, end, corrections, digests, ledger, .. } = prepared;
+    let keys = named(&settings, corrections, ANY_ENGINE, end);
+    let measure = || {
+        let words = format!("the speed of this machine is measured, for --time {}", settings.run.time);
+        options.events.info(Some(Stage::Geometry.name()), words);
+        let measurement = TimeMeasurement {
+            scene,
+            engine,
+            providers,
+            lpips: digests.lpips.as_ref().map(|file| &file.lpips),
+            keys: &keys,
+            steps_open: prepared.steps_open,
+            stopping: &|| options.stopper.phase() != Phase::Running,
+        };
+        measurement.choose(&settings, &|| prepared.began.elapsed().as_secs_f64())
+    };
+    let (key, choice) = decided_once(cache, &settings, &keys.choice, measure)?;
+    // The ledger names it, so that the cache keeps it.
+    ledger.record_view(SNAPSHOT, TimeChoice::KIND, &key, &ViewOutcome::cached())?;
+    folder.write_json(TimeChoice::FILE, &choice)?;
+    options.events.info(Some(Stage::Geometry.name()), choice.why.clone());
+    Ok(choice.decided(&settings, prepared.steps_open))
 }

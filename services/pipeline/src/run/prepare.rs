@@ -5,6 +5,7 @@ use super::examine::examine_photos;
 use super::memory;
 use super::options::RunOptions;
 use super::poses::{self, OpenedScene};
+use super::time::fits_time;
 use super::until::Until;
 use crate::accelerator::leased;
 use crate::artifacts::cameras;
@@ -92,6 +93,7 @@ pub fn prepare(
         .fit(&folder.path().join(authorship::FOLDER))?;
     folder.belongs_to(&path, &scene)?;
     fits_import(&scene, settings, options.until)?;
+    fits_time(&scene, settings)?;
     LpipsFile::needed(settings)?;
     // Written only now: a setting that the scene refuses must not come back with the next run.
     folder.write("segwild.toml", settings.to_toml().as_bytes())?;

@@ -5,6 +5,8 @@ use super::continued::ContinuedTraining;
 use super::examine::examine_photos;
 use super::memory;
 use super::poses::scene_or_photos;
+use super::time::{ANY_ENGINE, time_before};
+use crate::artifacts::auto_choice::AutoChoice;
 use crate::artifacts::described::ALL_DESCRIBED;
 use crate::artifacts::digests::photo_digest;
 use crate::artifacts::keys::{End, Keys, TrainingOrigin};
@@ -12,6 +14,7 @@ use crate::transients::Corrections;
 use crate::{RunError, RunFolder, Settings, choose_engine};
 use segwild_flow::{Cache, Ledger};
 use segwild_scene::{PhotoStore, Scene};
+use segwild_trainer::{Lpips, TimeChoice};
 use segwild_vision::{NetworkFile, Providers};
 use std::path::Path;
 use std::sync::Arc;
@@ -22,6 +25,14 @@ pub struct Situation {
     pub scene: Arc<Scene>,
     /// The keys of what the run makes.
     pub keys: Keys,
+    /// Its settings, with what the scene decides and what was chosen before.
+    pub settings: Settings,
+    /// Whether the steps were left to the scene.
+    pub steps_open: bool,
+    /// What its time has bought; `None` where that is not decided, or there is no time.
+    pub time: Option<TimeChoice>,
+    /// Weights of LPIPS, if the settings name any.
+    pub lpips: Option<Arc<Lpips>>,
     /// The networks that it uses.
     pub networks: Vec<NetworkFile>,
     /// The photos whose transients were corrected by hand, in words.
@@ -73,22 +84,34 @@ impl Situation {
         let photos = PhotoStore::new(scene.clone(), settings.scene.size, 0);
         let digest = |view: usize| photo_digest(&scene.views[view]);
         let digests = examine_photos(&photos, &digest, settings, &corrections, &|| false)?;
-        let named = |settings: &Settings, corrections: &Corrections, end: &End| {
+        let lpips = digests.lpips.as_ref().map(|file| file.lpips.clone());
+        let named_on = |settings: &Settings, corrections: &Corrections, engine: &str, end: &End| {
             Keys::of(
                 &scene,
                 digests.clone(),
                 settings,
                 &providers,
                 &corrections.digests(),
-                engine.name(),
+                engine,
                 end,
                 ALL_DESCRIBED,
             )
         };
+        let named = |settings: &Settings, corrections: &Corrections, end: &End| {
+            named_on(settings, corrections, engine.name(), end)
+        };
         let name = |settings: &Settings| named(settings, &corrections, end);
         // A choice that is still open leaves its `auto` in the key: all that depends on it is then to be made.
         let cache = Cache::at(folder.path().join("cache"));
-        let settings = choice::decided_before(&cache, settings, steps_open, &name)?;
+        let mut settings = choice::decided_before(&cache, settings, steps_open, &name)?;
+        let mut time = None;
+        if TimeChoice::is_open(&settings) {
+            let choice = named_on(&settings, &corrections, ANY_ENGINE, end).choice;
+            time = time_before(&cache, &settings, &choice)?;
+        }
+        if let Some(bought) = &time {
+            settings = bought.decided(&settings, steps_open);
+        }
         let (mut keys, mut goal, mut origin) = (name(&settings), end.step(), None);
         if let (End::Settings, Some(ledger)) = (end, ledger) {
             let named = |corrections: &Corrections, end: &End| named(&settings, corrections, end);
@@ -103,6 +126,10 @@ impl Situation {
         Ok(Situation {
             scene,
             keys,
+            settings,
+            steps_open,
+            time,
+            lpips,
             networks,
             corrected,
             origin,

@@ -140,6 +140,11 @@ fn more_points(scene: &Scene, splats: usize) -> Vec<Point> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{AppearanceModel, TrainPhoto};
+    use glam::Vec3;
+    use segwild_raster::CpuEngine;
+    use segwild_scene::{Camera, Image, Photo, Pose, SceneFrame, View};
+    use std::convert::Infallible;
 
     #[test]
     fn two_measurements_give_the_time_of_a_step_and_of_a_splat() {
@@ -150,6 +155,43 @@ mod tests {
         let (base, per_splat) = StepSpeed::of((1000, 0.0), (2000, 0.4));
         assert!(base.abs() < 1e-9 && (per_splat - 2e-4).abs() < 1e-12, "{base} {per_splat}");
         assert_eq!(StepSpeed::of((2000, 0.1), (2000, 0.2)), (0.2, 0.0), "one number of splats shows no slope");
+    }
+
+    #[test]
+    fn a_scene_is_measured_with_as_many_splats_as_it_would_have() {
+        let camera = Camera { width: 48, height: 36, fx: 40.0, fy: 40.0, cx: 24.0, cy: 18.0 };
+        let view = |i: usize| {
+            let eye = Vec3::new(0.1 * i as f32 - 0.3, 0.0, -0.5);
+            let (path, seal, reading) = ("none".into(), Default::default(), Default::default());
+            let photo = Photo { path, ignore: None, usable: None, lens: None, seal, reading };
+            let pose = Pose::look_at(eye, eye + Vec3::Z, Vec3::NEG_Y);
+            View { name: format!("{i}.jpg"), camera, pose, photo, test: i == 6 }
+        };
+        let points = (0..300).map(|i| {
+            let position = Vec3::new(0.1 * (i % 20) as f32 - 0.95, 0.1 * (i / 20) as f32 - 0.7, 1.0);
+            Point { position, colour: [0.5; 3], track: vec![] }
+        });
+        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
+        let (views, points) = ((0..7).map(view).collect(), points.collect());
+        let scene = Scene { views, points, skipped: vec![], notes: vec![], frame, imported: None };
+        let photos: Arc<dyn Photos> = Arc::new(|view: usize| {
+            let image = Image::filled(48, 36, 3, 0.3 + 0.05 * view as f32);
+            Ok::<_, Infallible>(TrainPhoto { image, valid: None, sky: None, transients: None })
+        });
+        let engine: Arc<dyn Engine> = Arc::new(CpuEngine::new());
+        let appearance_model = AppearanceModel::Affine;
+        let settings = TrainSettings { appearance_model, ..TrainSettings::default() };
+        let measured = |settings: &TrainSettings, stop: bool| {
+            measure_steps(&engine, &scene, &photos, settings, None, &|| stop)
+        };
+        let speed = measured(&settings, false).expect("it is measured");
+        assert_eq!((speed.splats, speed.pixels), (2000, 48 * 36));
+        assert!(speed.step_s(2000) > 0.0 && speed.base_s >= 0.0 && speed.per_splat_s >= 0.0, "{speed:?}");
+        assert!((0.0..=1.0).contains(&speed.half_share), "{speed:?}");
+        let set = TrainSettings { splats: 700, ..settings.clone() };
+        assert_eq!(measured(&set, false).expect("it is measured").splats, 700, "what is set stays");
+        assert!(matches!(measured(&settings, true), Err(TrainError::Stopped)));
+        assert_eq!(more_points(&scene, 700).len(), 400);
     }
 
     #[test]

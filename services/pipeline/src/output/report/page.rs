@@ -19,7 +19,7 @@ use segwild_flow::{Cache, Key, Ledger, SpanKind, TimelineRecord};
 use segwild_objective::AnyAppearance;
 use segwild_raster::Rasterizer;
 use segwild_scene::{Image, Mask, MaskSet, Skipped};
-use segwild_trainer::RefinedBy;
+use segwild_trainer::{RefinedBy, TimeChoice};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
@@ -114,6 +114,11 @@ fn figures(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
         .filter(|_| BudgetChoice::is_open(&loaded.settings));
     if let Some(spent) = spent {
         row("budget", format!("chosen {}", spent.why));
+    }
+    let bought =
+        folder.read_json::<TimeChoice>(TimeChoice::FILE).ok().filter(|_| TimeChoice::is_open(&loaded.settings));
+    if let Some(bought) = bought {
+        row("time", bought.why);
     }
     if let Some(fit) = TrainFit::of(folder) {
         row("PSNR on training photos", fit.in_words());
