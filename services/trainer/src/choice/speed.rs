@@ -154,7 +154,7 @@ mod tests {
         assert_eq!(StepSpeed::of((1000, 0.3), (2000, 0.2)), (0.2, 0.0));
         let (base, per_splat) = StepSpeed::of((1000, 0.0), (2000, 0.4));
         assert!(base.abs() < 1e-9 && (per_splat - 2e-4).abs() < 1e-12, "{base} {per_splat}");
-        assert_eq!(StepSpeed::of((2000, 0.1), (2000, 0.2)), (0.2, 0.0), "one number of splats shows no slope");
+        assert_eq!(StepSpeed::of((2000, 0.1), (2000, 0.2)), (0.2, 0.0), "one number shows no slope");
     }
 
     #[test]
@@ -169,7 +169,7 @@ mod tests {
         };
         let points = (0..300).map(|i| {
             let position = Vec3::new(0.1 * (i % 20) as f32 - 0.95, 0.1 * (i / 20) as f32 - 0.7, 1.0);
-            Point { position, colour: [0.5; 3], track: vec![] }
+            Point { position, colour: [0.2 + 0.002 * i as f32; 3], track: vec![] }
         });
         let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
         let (views, points) = ((0..7).map(view).collect(), points.collect());

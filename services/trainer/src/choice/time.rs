@@ -212,8 +212,8 @@ impl TimeChoice {
         let [fewest, own] = bounds.splats(model.speed.splats);
         let Some((steps, splats)) = model.buys(bounds, left_s(time)) else {
             let least_s = model.total_s(bounds.steps.0, fewest);
-            let least = WallTime::rounded_up(spent_s + least_s);
-            return Err(TooLittleTime { time, least, spent_s, least_s, steps: bounds.steps.0, splats: fewest });
+            let (least, steps) = (WallTime::rounded_up(spent_s + least_s), bounds.steps.0);
+            return Err(TooLittleTime { time, least, spent_s, least_s, steps, splats: fewest });
         };
         let set = |set: bool| if set { " (as set)" } else { "" };
         let steps_set = bounds.steps.0 == bounds.steps.1;
@@ -352,7 +352,7 @@ mod tests {
         for word in ["20s does not suffice", "700 steps and 10000 splats"] {
             assert!(words.contains(word), "{words}");
         }
-        let least = TimeChoice::of(refused.least, 5.0, model(), &OPEN).expect("what the message names suffices");
+        let least = TimeChoice::of(refused.least, 5.0, model(), &OPEN).expect("what it names suffices");
         assert_eq!(least.steps, 700);
         let shorter = WallTime::of(refused.least.seconds() - 61);
         assert!(TimeChoice::of(shorter, 5.0, model(), &OPEN).is_err(), "it is the least");

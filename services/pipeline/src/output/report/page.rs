@@ -115,8 +115,10 @@ fn figures(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
     if let Some(spent) = spent {
         row("budget", format!("chosen {}", spent.why));
     }
-    let bought =
-        folder.read_json::<TimeChoice>(TimeChoice::FILE).ok().filter(|_| TimeChoice::is_open(&loaded.settings));
+    let bought = folder
+        .read_json::<TimeChoice>(TimeChoice::FILE)
+        .ok()
+        .filter(|_| TimeChoice::is_open(&loaded.settings));
     if let Some(bought) = bought {
         row("time", bought.why);
     }
