@@ -207,8 +207,12 @@ fn a_budget_is_decided_once_reported_with_its_evidence_and_undone_by_name() {
 fn a_time_is_decided_once_reported_and_refused_where_it_does_not_suffice() {
     let dir = folder();
     let (photos, run) = (show(scene()), show(&dir.path().join("run")));
-    let open: Vec<&str> =
-        QUICK.chunks(2).filter(|flag| !["--splats", "--steps"].contains(&flag[0])).flatten().copied().collect();
+    let open: Vec<&str> = QUICK
+        .chunks(2)
+        .filter(|flag| !["--splats", "--steps"].contains(&flag[0]))
+        .flatten()
+        .copied()
+        .collect();
     let with = |flags: &[&'static str]| {
         [&["run", &photos, "--out", &run, "--until", "geometry"][..], &open, flags].concat()
     };
