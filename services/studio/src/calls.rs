@@ -82,7 +82,7 @@ impl From<StudioError> for Refusal {
             StudioError::Run(RunError::Request(_) | RunError::Segment(_)) | StudioError::Request(_) => {
                 RefusalKind::Request
             }
-            StudioError::Document(_) => RefusalKind::Conflict,
+            StudioError::Document(_) | StudioError::Conflict(_) => RefusalKind::Conflict,
             StudioError::Journal(_) | StudioError::File(_) | StudioError::Scene(_) | StudioError::Run(_) => {
                 RefusalKind::Broken
             }

@@ -372,6 +372,9 @@ pub struct PickedPixel {
 pub struct StateMessage {
     /// Counts the changes.
     pub revision: u64,
+    /// Counts the messages: of two states, the later one has the larger number. It grows with the revision, and while objects are
+    /// being written.
+    pub sequence: u64,
     /// What is being requested.
     pub draft: DraftMessage,
     /// The answer to it.
@@ -394,7 +397,7 @@ pub struct StateMessage {
     pub redo: Option<&'static str>,
     /// Warnings, a sentence each.
     pub notes: Vec<String>,
-    /// Objects that are being written as selections.
+    /// Objects that are being written as selections, or wait for that, in their order.
     pub saving: Vec<SavingMessage>,
 }
 
@@ -403,7 +406,7 @@ pub struct StateMessage {
 pub struct SavingMessage {
     /// The object.
     pub object: ObjectId,
-    /// Photos whose masks are written; 0 while the object is still selected.
+    /// Photos whose masks are written; 0 while the object waits or is still selected.
     pub done: usize,
     /// All photos.
     pub photos: usize,

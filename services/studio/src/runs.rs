@@ -214,7 +214,9 @@ impl ServedRuns {
             if !(unchecked && is_outdated(studio, &folder)) {
                 return Found::Open(studio.clone());
             }
-            // Its journal has to be free before the next one opens it: whoever still asks this one is waited for.
+            // Its journal has to be free before the next one opens it: whoever still asks this one is waited for. Objects are not
+            // written of a scene that is not the newest.
+            studio.end_writes();
             open.remove(name);
         }
         let reason = match open.get(name) {
@@ -260,23 +262,25 @@ impl ServedRuns {
         self.close_oldest(&mut open, name);
     }
 
-    /// Closes the sessions that were used longest ago until those that stay fit into the budget.
+    /// Closes the sessions that were used longest ago until those that stay fit into the budget, those that write objects last.
     fn close_oldest(&self, open: &mut BTreeMap<String, OpenState>, newest: &str) {
         loop {
-            let mut opened: Vec<(Instant, String, usize)> = open
+            let mut opened: Vec<(bool, Instant, String, usize)> = open
                 .iter()
                 .filter_map(|(name, state)| match state {
-                    OpenState::Open { studio, used, .. } => Some((*used, name.clone(), studio.bytes())),
+                    OpenState::Open { studio, used, .. } => {
+                        Some((studio.is_writing(), *used, name.clone(), studio.bytes()))
+                    }
                     _ => None,
                 })
                 .collect();
-            let bytes: usize = opened.iter().map(|(_, _, bytes)| bytes).sum();
-            opened.retain(|(_, name, _)| name != newest);
+            let bytes: usize = opened.iter().map(|(.., bytes)| bytes).sum();
+            opened.retain(|(_, _, name, _)| name != newest);
             opened.sort();
-            match opened.first() {
-                Some((_, oldest, _)) if bytes > self.memory_budget => open.remove(oldest),
-                _ => return,
-            };
+            let Some((_, _, oldest, _)) = opened.first().filter(|_| bytes > self.memory_budget) else { return };
+            if let Some(OpenState::Open { studio, .. }) = open.remove(oldest) {
+                studio.end_writes();
+            }
         }
     }
 }

@@ -239,6 +239,7 @@ fn object(object: ObjectMessage) -> v1::ObjectMessage {
 pub(super) fn state(state: StateMessage) -> v1::StateMessage {
     let StateMessage {
         revision,
+        sequence,
         draft: requested,
         answer: present,
         objects,
@@ -259,6 +260,7 @@ pub(super) fn state(state: StateMessage) -> v1::StateMessage {
     };
     v1::StateMessage {
         revision,
+        sequence,
         draft: Some(draft(requested)),
         answer: Some(answer(present)),
         objects: objects.into_iter().map(object).collect(),

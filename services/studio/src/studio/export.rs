@@ -1,38 +1,11 @@
 //! Objects as files.
 
 use super::state::{LOST, Studio, StudioError, mark};
-use super::writes::WriteQueue;
 use crate::document::{KeptObject, ObjectId};
-use segwild_flow::{FileError, Stopper, lock};
-use segwild_pipeline::{ExportProvenance, ObjectList, ObjectProvenance, RunError, Selected};
+use segwild_flow::{FileError, Stopper};
+use segwild_pipeline::{ExportProvenance, ObjectList, ObjectProvenance, Selected};
 use segwild_scene::SplatFormat;
 use std::sync::Arc;
-use tokio::sync::oneshot;
-
-/// The thread that writes objects as selections. A write may need a whole answer, which gives way to clicks: it may take minutes,
-/// and the threads of the server are for those who click.
-struct WriteThread(Arc<Studio>);
-
-impl WriteThread {
-    fn run(&self) {
-        let WriteThread(studio) = self;
-        loop {
-            let next = lock(&studio.writes).take();
-            let Some((id, written)) = next else { return };
-            // Who waited may have gone: the object is written all the same.
-            let _ = written.send(studio.save(id));
-        }
-    }
-}
-
-impl Drop for WriteThread {
-    fn drop(&mut self) {
-        if std::thread::panicking() {
-            // Those that wait get an answer, and the next one starts a thread.
-            *lock(&self.0.writes) = WriteQueue::default();
-        }
-    }
-}
 
 impl Studio {
     pub(super) fn selection_of(&self, id: ObjectId) -> Result<Arc<Selected>, StudioError> {
@@ -125,62 +98,6 @@ impl Studio {
             .and(objects.first())
             .map_or("coco.json".into(), |object| format!("{}.coco.json", file_stem(&object.name)));
         Ok((name, self.session.coco_masks(self.provenance_of(&objects), labels, stopper)?))
-    }
-
-    /// Writes an object as a selection of the run, as `segwild segment` does; returns the selection's name. The state has how far it
-    /// is.
-    ///
-    /// # Errors
-    /// When tools made or changed the object, it is being written already, a file cannot be written, or a person stops it.
-    pub fn save(&self, id: ObjectId) -> Result<String, StudioError> {
-        let mut state = self.state();
-        let object = state.document.objects().get(id)?.clone();
-        if object.draft.is_empty() || object.edited {
-            return Err(StudioError::Request(
-                "a tool made or changed this object: its splats can be exported, but a selection of the run is made by prompts alone",
-            ));
-        }
-        let name = file_stem(&object.name);
-        let replay = self.replay(&object.draft);
-        let selected = state.store.get(&object.selection);
-        let turn = self.start_save(&mut state, id)?;
-        drop(state);
-        let known = selected.and_then(|selected| lock(&self.kept).find(&replay, &selected));
-        let answer = match known {
-            Some(answer) => Ok(answer),
-            None => self.answer_aside(&replay, turn.stopper()).map(Arc::new),
-        };
-        let saved = answer.and_then(|answer| {
-            let progress = |done, photos| turn.progress(done, photos);
-            self.session.save_watched(&name, &answer, turn.stopper(), &progress)
-        });
-        match saved {
-            Ok(_) => Ok(name),
-            Err(RunError::Interrupted) => Err(StudioError::Request("the writing of this object was stopped")),
-            Err(error) => Err(error.into()),
-        }
-    }
-
-    /// [`Studio::save`], after the writes that were requested before. What is returned receives how it ended.
-    ///
-    /// # Errors
-    /// When too many writes wait, or no thread can be started.
-    pub(crate) fn save_in_turn(
-        self: &Arc<Self>,
-        id: ObjectId,
-    ) -> Result<oneshot::Receiver<Result<String, StudioError>>, StudioError> {
-        let mut writes = lock(&self.writes);
-        if writes.is_full() {
-            return Err(StudioError::Request("too many objects wait to be written: write this one later"));
-        }
-        if writes.is_idle() {
-            // It waits for the lock, and then finds the write.
-            let thread = WriteThread(self.clone());
-            let started =
-                std::thread::Builder::new().name("studio writes".into()).spawn(move || thread.run());
-            started.map_err(|_| StudioError::Request("no thread can be started to write it: try again"))?;
-        }
-        Ok(writes.add(id))
     }
 
     /// The sheet of the listed objects' thumbnails, as PNG.

@@ -94,6 +94,7 @@ impl Studio {
             aside: Stopper::new(),
             saving: Vec::new(),
             revision: 1,
+            sequence: 1,
             notes,
         };
         let studio = Arc::new(Studio {
@@ -120,7 +121,7 @@ impl Studio {
         Ok(studio)
     }
 
-    /// Follows the revision of the state.
+    /// Follows the messages that the state was sent in ([`StateMessage::sequence`]).
     pub fn changes(&self) -> watch::Receiver<u64> {
         self.changes.subscribe()
     }
@@ -202,6 +203,7 @@ impl Studio {
         let shown = objects.draft.prompts.iter().filter_map(|prompts| self.session.prompts_as_shown(prompts));
         StateMessage {
             revision: state.revision,
+            sequence: state.sequence,
             draft: DraftMessage {
                 prompts: shown.map(|(photo, prompts)| ShownPrompts { photo, prompts }).collect(),
                 listed: objects.draft.listed.as_ref().map(|listed| listed.number),

@@ -3,17 +3,17 @@
 use super::kept::KeptAnswers;
 use super::turns::ProviderTurns;
 use super::writes::WriteQueue;
-use crate::document::{Document, DocumentError, Journal, JournalError};
+use crate::document::{Document, DocumentError, Journal, JournalError, ObjectId};
 use crate::fronts::FrontMaps;
 use crate::messages::{AnswerMessage, SavingMessage};
 use crate::photo_splats::PhotoSplats;
 use crate::store::SelectionStore;
 use segwild_flow::{FileError, Stopper, lock};
-use segwild_pipeline::{Answer, ObjectList, RunError, Selected, Session, ShownScene};
+use segwild_pipeline::{Answer, ObjectList, Replay, RunError, Selected, Session, ShownScene};
 use segwild_scene::SceneError;
 use segwild_segmenter::{NeighbourGraph, SegmentSettings};
 use std::sync::atomic::{AtomicBool, AtomicUsize};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, Weak};
 use std::time::Instant;
 use tokio::sync::watch;
 
@@ -57,6 +57,9 @@ pub enum StudioError {
     /// The request makes no sense.
     #[error("{0}")]
     Request(&'static str),
+    /// The request does not fit what is being done at present.
+    #[error("{0}")]
+    Conflict(&'static str),
 }
 
 pub(super) struct StudioState {
@@ -66,18 +69,36 @@ pub(super) struct StudioState {
     pub(super) answer: GrowingAnswer,
     /// Ends answers that nobody looks at, once a person asks for one.
     pub(super) aside: Stopper,
-    /// Objects that are being written.
+    /// Objects that are being written, or wait for that.
     pub(super) saving: Vec<SaveInProgress>,
     pub(super) revision: u64,
+    /// Counts the messages to viewers: also those that change no revision.
+    pub(super) sequence: u64,
     pub(super) notes: Vec<String>,
 }
 
-/// An object that is being written as a selection.
+/// An object that is being written as a selection, or waits for that.
 pub(super) struct SaveInProgress {
     pub(super) message: SavingMessage,
     pub(super) stopper: Stopper,
     /// When viewers were last sent how far it is.
     pub(super) sent: Instant,
+}
+
+/// How a save ended: the name of the selection.
+pub(super) type SaveResult = Result<String, StudioError>;
+
+/// The save of an object as it was when that was requested; it is over when this is dropped.
+pub(super) struct SaveTurn {
+    /// A session is not held by writes that wait.
+    pub(super) studio: Weak<Studio>,
+    pub(super) id: ObjectId,
+    /// Name of the selection.
+    pub(super) name: String,
+    pub(super) replay: Replay,
+    /// The object's splats, where they are not lost.
+    pub(super) selected: Option<Arc<Selected>>,
+    pub(super) stopper: Stopper,
 }
 
 /// A run's session with its objects.
@@ -102,7 +123,7 @@ pub struct Studio {
     /// Whether a photo is prepared now.
     pub(super) preparing: AtomicBool,
     /// Objects that are to be written as selections.
-    pub(super) writes: Mutex<WriteQueue<Result<String, StudioError>>>,
+    pub(super) writes: Mutex<WriteQueue<SaveTurn, SaveResult>>,
     /// Ends what nobody waits for any more: the server's.
     pub(super) stopper: Stopper,
 }
@@ -138,7 +159,13 @@ impl Studio {
 
     pub(super) fn changed(&self, state: &mut StudioState) {
         state.revision += 1;
-        self.changes.send_replace(state.revision);
+        self.show_again(state);
+    }
+
+    /// Sends the state to all viewers: objects and labels may be those of the same revision.
+    pub(super) fn show_again(&self, state: &mut StudioState) {
+        state.sequence += 1;
+        self.changes.send_replace(state.sequence);
     }
 
     pub(super) fn photo_named(&self, name: &str) -> Option<usize> {
@@ -152,8 +179,9 @@ impl Studio {
 }
 
 impl Studio {
-    /// Ends the answers that are being made.
+    /// Ends the answers that are being made, and the writes.
     pub(crate) fn stop_answers(&self) {
+        self.end_writes();
         let mut state = self.state();
         state.aside.stop();
         if let Some(stopper) = state.answer.stopper.take() {

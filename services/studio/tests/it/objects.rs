@@ -18,6 +18,11 @@ fn ply(studio: &Studio, id: u32) -> Vec<u8> {
     studio.object_file(id, SplatFormat::Ply).unwrap().1
 }
 
+/// Writes an object as a selection; returns its name.
+fn save(studio: &Arc<Studio>, id: u32) -> Result<String, StudioError> {
+    studio.save_in_turn(id)?.blocking_recv().unwrap()
+}
+
 /// Gives an object, or the scene, the appearance of a photo.
 fn set_appearance(id: Option<u32>, photo: Option<usize>) -> StudioAction {
     StudioAction::Appearance { id, photo, towards: None, share: 0.0 }
@@ -479,7 +484,7 @@ fn all_objects_are_exported_as_labels_masks_and_selections_of_the_run() {
     let scene = made_by["scene"].as_str().unwrap();
     let line = format!("comment segwild version={} scene={scene}\n", env!("CARGO_PKG_VERSION"));
     assert!(head.contains(&line), "{head}");
-    assert_eq!(studio.save(1).unwrap(), "the_first");
+    assert_eq!(save(&studio, 1).unwrap(), "the_first");
     let saved = std::fs::read(folder.selection("the_first").join("object.ply")).unwrap();
     assert!(saved == ply(&studio, 1));
     assert!(folder.selection("the_first").join("masks").is_dir());
@@ -497,7 +502,7 @@ fn all_objects_are_exported_as_labels_masks_and_selections_of_the_run() {
     // Clicks do not wait for it: they end it, and it starts again.
     let saving = std::thread::spawn({
         let studio = studio.clone();
-        move || studio.save(1).unwrap()
+        move || save(&studio, 1).unwrap()
     });
     for object in [2, 0] {
         studio.act(click(&studio, object)).unwrap();
@@ -507,7 +512,7 @@ fn all_objects_are_exported_as_labels_masks_and_selections_of_the_run() {
     assert!(written() == of_kept);
     studio.act(StudioAction::Prompt { prompts: Vec::new(), alternative: 0 }).unwrap();
     studio.act(StudioAction::Grow { id: 2, steps: 1 }).unwrap();
-    assert!(studio.save(2).is_err(), "no prompts make what a tool changed");
+    assert!(save(&studio, 2).is_err(), "no prompts make what a tool changed");
     assert!(studio.prompts_file(2).is_err() && studio.prompts_file(9).is_err());
 }
 
@@ -538,4 +543,34 @@ fn a_save_counts_its_photos_and_leaves_nothing_where_it_is_stopped() {
     assert_eq!(made_by["objects"][0]["name"], "one");
     // What is not being written is not stopped, and what is over shows no more.
     assert!(studio.act(StudioAction::StopSave { id: 1 }).is_err() && studio.message().saving.is_empty());
+}
+
+#[test]
+fn writes_that_wait_are_shown_and_stopped_like_the_present_one() {
+    let (_dir, folder) = run();
+    let studio = open(&folder);
+    for (object, name) in [(0, "one"), (1, "two")] {
+        keep(&studio, object, name).unwrap();
+    }
+    let objects = studio.message().objects.len();
+    // After a restart no answer is in memory: the first write has to wait for its own.
+    drop(studio);
+    let studio = open(&folder);
+    let writes = [1, 2].map(|id| studio.save_in_turn(id).unwrap());
+    let message = studio.message();
+    assert_eq!(message.saving.iter().map(|save| save.object).collect::<Vec<_>>(), [1, 2]);
+    assert!(message.saving.iter().all(|save| save.photos == studio.session().scene().views.len()));
+    assert!(matches!(studio.save_in_turn(2), Err(StudioError::Conflict(_))), "no object is written twice");
+    studio.act(StudioAction::StopSave { id: 2 }).unwrap();
+    let saving = studio.message().saving;
+    assert_eq!(saving.iter().map(|save| save.object).collect::<Vec<_>>(), [1], "it leaves the queue at once");
+    studio.act(StudioAction::StopSave { id: 1 }).unwrap();
+    for write in writes {
+        let error = write.blocking_recv().unwrap().unwrap_err().to_string();
+        assert_eq!(error, "the writing of this object was stopped");
+    }
+    let message = studio.message();
+    assert!(message.saving.is_empty() && message.objects.len() == objects);
+    assert!(!folder.selection("one").exists() && !folder.selection("two").exists());
+    assert_eq!(save(&studio, 2).unwrap(), "two", "it can be written again");
 }
