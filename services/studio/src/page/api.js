@@ -26,7 +26,7 @@
  *   photos: {photo: number, prompted: boolean, far: boolean, agreement: number, shown: number, disagrees: boolean}[]}} Confidence
  */
 /**
- * @typedef {{revision: number,
+ * @typedef {{revision: number, sequence: number,
  *   draft: {prompts: Prompts[], listed: number | null, of: number | null, alternative: number, text: string | null},
  *   answer: {number: number, state: string, step: any, splats: number, alternatives: any[], error: string | null, seconds: number,
  *     confidence: Confidence | null, scores: number[]},
@@ -162,7 +162,7 @@ export class Run {
     return getJson(`${this.base}/photos/${photo}/transients`);
   }
 
-  /** Writes an object as a selection of the run. @param {number} id @returns {Promise<{selection: string}>} */
+  /** Writes an object as a selection of the run: the request stays open until it is written. @param {number} id @returns {Promise<{selection: string}>} */
   async save(id) {
     return (await this.post(`objects/${id}/save`, {})).json();
   }

@@ -13,6 +13,7 @@ import { drawStroke } from "./tools.js";
  * @property {() => number} brush
  * @property {() => void} moved shows the cursor, and what a click there would select
  * @property {() => number | null} candidate the share of the pane that a click would select, if that is known
+ * @property {() => boolean} searching whether it is being found out
  * @property {(at: number[], inside: boolean) => unknown} click
  * @property {(a: number[], b: number[]) => unknown} box
  * @property {(tool: string, path: number[][], how: Modifiers) => Promise<void>} region
@@ -45,6 +46,8 @@ export class Cursor {
     this.shape = "";
     /** @type {number[][]} */
     this.path = [];
+    /** Whether it is at rest, and was not announced there. */
+    this.rested = false;
   }
 
   /** Where it is, in pixels of the pane. */
@@ -63,11 +66,21 @@ export class Cursor {
     this.pane.moved();
     this.draw();
     clearTimeout(this.announcing);
-    this.announcing = setTimeout(() => this.announce(), REST);
+    this.rested = false;
+    this.announcing = setTimeout(() => {
+      this.rested = true;
+      if (!this.pane.searching()) this.announce();
+    }, REST);
+  }
+
+  /** What a click at the cursor would select is known: it is announced, if the cursor rested meanwhile. */
+  answered() {
+    if (this.rested) this.announce();
   }
 
   /** Says where it is, and how much a click would select. */
   announce() {
+    this.rested = false;
     if (!this.at) return;
     const where = text("cursor_at", ...this.percent()), share = this.pane.candidate();
     this.app.say(share === null ? where : `${where} ${text("cursor_candidate", (100 * share).toPrecision(2))}`);
@@ -120,6 +133,7 @@ export class Cursor {
     this.pane.moved();
     this.draw();
     clearTimeout(this.announcing);
+    this.rested = false;
     this.app.say(text(shape === "box" ? "box_started" : "mark_started", text(`tool_${shape}`), ...this.percent()), true);
   }
 
@@ -136,6 +150,7 @@ export class Cursor {
   forget() {
     this.end();
     clearTimeout(this.announcing);
+    this.rested = false;
     this.at = null;
   }
 

@@ -173,7 +173,8 @@ export class App {
 
   /** Takes a new state. @param {State} state */
   update(state) {
-    if (this.state && state.revision < this.state.revision) return;
+    // Of one revision there are several, while objects are written: an older one may come later.
+    if (this.state && state.sequence < this.state.sequence) return;
     const moved = state.revision !== this.state?.revision;
     // What this page keeps is selected as soon as it is there, whichever way the state came.
     if (this.keeping !== null && (this.keeping > 0 || state.objects.length > (this.state?.objects.length ?? 0))) {
@@ -509,7 +510,8 @@ export class App {
         return this.act({ do: "keep" });
       },
       drop: () => {
-        if (photoPane.cursor.end() || scenePane.cursor.end()) return this.say(text("mark_dropped"));
+        const other = cursor === photoPane.cursor ? scenePane.cursor : photoPane.cursor;
+        if (cursor.end() || other.end()) return this.say(text("mark_dropped"));
         if (state?.draft.prompts.length || state?.draft.listed !== null || state?.draft.text !== null) return this.act({ do: "prompt", prompts: [] });
         if (state?.isolated !== null) return this.act({ do: "isolate", id: null });
         this.select(null);

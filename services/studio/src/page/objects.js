@@ -8,6 +8,7 @@ import { curves } from "./training.js";
 
 /** @typedef {import("./main.js").App} App */
 /** @typedef {import("./api.js").Item} Item */
+/** @typedef {import("./api.js").Run} Run */
 
 const of = (/** @type {string} */ id) => /** @type {HTMLElement} */ (document.getElementById(id));
 
@@ -39,6 +40,10 @@ export class Side {
     this.thumbs = new Map();
     this.renaming = /** @type {number | null} */ (null);
     this.rendered = { answer: "", objects: "", listed: "" };
+    /** Objects that are to be written, or are being written, by this page. @type {Set<string>} */
+    this.writes = new Set();
+    /** The end of the last one. @type {Promise<void>} */
+    this.written = Promise.resolve();
     const words = /** @type {HTMLInputElement} */ (of("words-text"));
     words.placeholder = text("words_example");
     of("words").addEventListener("submit", event => {
@@ -121,8 +126,8 @@ export class Side {
   objects() {
     const { app } = this, { state } = app;
     if (!state) return;
-    const key = JSON.stringify([state.objects, state.isolated, state.appearance, state.cut_spikes, state.saving, app.item, this.renaming, app.photo]);
-    if (key === this.rendered.objects) return;
+    const key = JSON.stringify([state.objects, state.isolated, state.appearance, state.cut_spikes, this.saving().map(save => save.object), app.item, this.renaming, app.photo]);
+    if (key === this.rendered.objects) return this.progress();
     this.rendered.objects = key;
     const focus = document.activeElement?.getAttribute("data-focus");
     const rows = state.objects.map((item, k) => this.row(item, k));
@@ -144,6 +149,30 @@ export class Side {
     if (this.renaming !== null) /** @type {HTMLInputElement | null} */ (document.getElementById("new-name"))?.select();
   }
 
+  /** The key of an object that this page writes. @param {Run} run @param {number} id */
+  writeKey(run, id) {
+    return `${run.base}/${id}`;
+  }
+
+  /** How far the objects are that are being written, and those that wait for it, here or in the server. */
+  saving() {
+    const { run, state, description } = this.app, known = state?.saving ?? [];
+    const waiting = (state?.objects ?? []).map(item => item.id).filter(id =>
+      this.writes.has(this.writeKey(run, id)) && !known.some(save => save.object === id));
+    return [...known, ...waiting.map(object => ({ object, done: 0, photos: description.photos.length }))];
+  }
+
+  /** Shows how far they are, in what is shown already: a name that is being typed stays. */
+  progress() {
+    for (const { object, done, photos } of this.saving()) {
+      const bar = /** @type {HTMLProgressElement | null} */ (document.querySelector(`progress[data-object="${object}"]`));
+      if (!bar) continue;
+      bar.max = photos;
+      bar.value = done;
+      if (bar.nextElementSibling) bar.nextElementSibling.textContent = text("saved_photos", done, photos);
+    }
+  }
+
   /** @param {Item} item @param {number} k */
   row(item, k) {
     const { app } = this, { state } = app, selected = app.item === item.id;
@@ -161,7 +190,7 @@ export class Side {
       element("span", { className: "quiet" }, String(item.splats)));
     const small = (/** @type {string} */ id, /** @type {() => void} */ click, /** @type {Record<string, any>} */ more = {}) =>
       button(text(`short_${id}`), text(more.label ?? id, item.name), click, more);
-    const saving = state?.saving.find(save => save.object === item.id), tools = element("div", { className: "row" },
+    const saving = this.saving().find(save => save.object === item.id), tools = element("div", { className: "row" },
       small(item.visible ? "hide" : "show", () => act("show", { visible: !item.visible })),
       small("alone", () => act("isolate", { id: state?.isolated === item.id ? null : item.id }), { label: "isolate", "aria-pressed": state?.isolated === item.id }));
     tools.append(element("span", { className: "quiet" }, text("save_as")));
@@ -199,10 +228,11 @@ export class Side {
     }
     const parts = [head, tools];
     if (saving) {
-      parts.push(element("div", { className: "row" },
-        element("progress", { value: saving.done, max: saving.photos, "aria-label": text("saving", item.name) }),
+      const bar = element("progress", { value: saving.done, max: saving.photos, "aria-label": text("saving", item.name) });
+      bar.dataset.object = String(item.id);
+      parts.push(element("div", { className: "row" }, bar,
         element("span", { className: "quiet" }, text("saved_photos", saving.done, saving.photos)),
-        small("stop_save", () => act("stop_save"))));
+        small("stop_save", () => this.stopSave(item))));
     }
     return element("li", { className: selected ? "selected" : "" }, ...parts);
   }
@@ -227,11 +257,28 @@ export class Side {
     return element("fieldset", { id: "blend" }, element("legend", {}, text("blend", name)), choose("photo", "blend_from"), choose("towards", "blend_to"), share);
   }
 
-  /** Writes an object to the run's folder. @param {Item} item */
-  async save(item) {
-    const { app } = this;
+  /** Writes an object to the run's folder. One request at a time: a browser has six connections to a server. @param {Item} item */
+  save(item) {
+    const { app } = this, { run } = app, key = this.writeKey(run, item.id);
+    if (this.writes.has(key)) return;
+    this.writes.add(key);
     app.say(text("saving", item.name));
-    await app.run.save(item.id).then(({ selection }) => app.say(text("saved", selection)), error => app.failed(error));
+    this.written = this.written.then(async () => {
+      // It may have been stopped while it waited.
+      if (!this.writes.has(key)) return;
+      await run.save(item.id).then(({ selection }) => app.say(text("saved", selection)), error => app.failed(error));
+      this.writes.delete(key);
+      this.objects();
+    });
+    this.objects();
+  }
+
+  /** Ends the writing of an object, or takes it out of those that wait. @param {Item} item */
+  stopSave(item) {
+    const { app } = this;
+    if (app.state?.saving.some(save => save.object === item.id)) return app.act({ do: "stop_save", id: item.id });
+    this.writes.delete(this.writeKey(app.run, item.id));
+    this.objects();
   }
 
   /** @param {number} id */

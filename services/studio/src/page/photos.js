@@ -35,6 +35,7 @@ export class PhotoPane {
       brush: () => this.brush(),
       moved: () => this.cursorMoved(),
       candidate: () => this.share,
+      searching: () => this.hovering !== null,
       click: (at, inside) => this.app.addPoint(this.app.photo, at, inside),
       box: (a, b) => this.app.addBox(this.app.photo, a, b),
       region: (tool, path, how) => this.region(tool, path, how),
@@ -218,12 +219,15 @@ export class PhotoPane {
       app.times.hover = performance.now() - began;
       if (signal.aborted || photo !== app.photo) return;
       paint(candidate, map, () => [255, 255, 255]);
-      this.share = covered(map);
+      if (this.hovered === hovered) this.share = covered(map);
     } catch (error) {
       if (!signal.aborted) app.failed(error);
     }
+    // A newer one may be on its way.
+    if (this.hovering && this.hovering.signal !== signal) return;
     this.hovering = null;
     if (this.hovered && this.hovered !== hovered) this.hover();
+    else this.cursor.answered();
   }
 
   /** @param {WheelEvent} event */
@@ -244,6 +248,8 @@ export class PhotoPane {
   /** Shows the keyboard's cursor, and the candidate there. */
   cursorMoved() {
     this.hovered = this.cursor.position();
+    // That of the position before is not announced here.
+    this.share = null;
     this.drawPrompts();
     this.hover();
     this.preview();

@@ -83,6 +83,8 @@ export class ScenePane {
     this.fresh = false;
     /** Where the pointer is. @type {number[] | null} */
     this.pointed = null;
+    /** The timer after which that is requested; 0 without one. */
+    this.settling = 0;
     /** The request for the candidate under it. @type {AbortController | null} */
     this.hovering = null;
     /** The share of the view that the candidate covers. @type {number | null} */
@@ -93,6 +95,7 @@ export class ScenePane {
       brush: () => this.brush(),
       moved: () => this.cursorMoved(),
       candidate: () => this.share,
+      searching: () => this.settling !== 0 || this.hovering !== null,
       click: (at, inside) => this.pick(at).then(picked => picked && this.prompt(picked, inside)),
       box: () => {},
       region: (tool, path, how) => this.app.region(tool, path, this.full(), this.brush(), how),
@@ -165,6 +168,7 @@ export class ScenePane {
 
   clearCandidate() {
     clearTimeout(this.settling);
+    this.settling = 0;
     this.hovering?.abort();
     this.hovering = null;
     this.share = null;
@@ -178,12 +182,13 @@ export class ScenePane {
     if (!this.pointed || app.tool !== "prompt" || !app.state || !app.description.tree || app.photoPane.requests || !app.shows("scene")) {
       return this.clearCandidate();
     }
-    this.settling = setTimeout(() => this.showCandidate(), wait);
+    this.settling = window.setTimeout(() => this.showCandidate(), wait);
   }
 
   /** Asks for the candidate; one request at a time, the newest position counts. */
   async showCandidate() {
     const { app, pointed } = this;
+    this.settling = 0;
     if (!pointed || this.hovering) return;
     const stop = new AbortController(), { at: [x, y], ...view } = this.seen(pointed, HOVERED), began = performance.now();
     this.hovering = stop;
@@ -192,13 +197,14 @@ export class ScenePane {
       app.times.hover_scene = performance.now() - began;
       if (stop.signal.aborted) return;
       paint(candidate, map, () => [255, 255, 255]);
-      this.share = covered(map);
+      if (this.pointed === pointed) this.share = covered(map);
     } catch (error) {
       if (!stop.signal.aborted) app.failed(error);
     }
     if (this.hovering !== stop) return;
     this.hovering = null;
     if (this.pointed !== pointed) this.hover();
+    else this.cursor.answered();
   }
 
   /** Shows the keyboard's cursor, and the candidate there. */
@@ -208,6 +214,8 @@ export class ScenePane {
     mark.style.left = `${100 * x}%`;
     mark.style.top = `${100 * y}%`;
     this.pointed = this.cursor.position();
+    // That of the position before is not announced here.
+    this.share = null;
     this.preview();
     this.hover();
   }
