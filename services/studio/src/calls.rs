@@ -4,7 +4,7 @@ use crate::document::ObjectId;
 use crate::farm::{FarmRetryError, SeenFarm};
 use crate::messages::{RunEntry, StateMessage, StudioAction, TrainingMessage};
 use crate::runs::{Found, ServedRuns};
-use crate::studio::{MaskArchive, PhotoSearch};
+use crate::studio::{BUSY, MaskArchive, PhotoSearch};
 use crate::{Studio, StudioError};
 use futures_util::StreamExt;
 use futures_util::stream::{self, BoxStream};
@@ -14,8 +14,7 @@ use segwild_monitor::{MonitorTarget, MonitorView};
 use segwild_pipeline::{PackedSplats, RunError};
 use std::path::Path;
 use std::sync::{Arc, Weak};
-use std::time::Duration;
-use tokio::sync::watch;
+use tokio::sync::{OwnedMutexGuard, watch};
 
 /// The runs of a server, as requests share them.
 pub(crate) type Runs = Arc<ServedRuns>;
@@ -34,9 +33,6 @@ pub(crate) const ZIP: &str = "application/zip";
 
 /// Media type of packed numbers and of files to be saved.
 pub(crate) const OCTETS: &str = "application/octet-stream";
-
-/// Time between two checks whether an answer is still being made.
-const BUSY: Duration = Duration::from_millis(20);
 
 /// What kind of refusal it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -285,22 +281,45 @@ pub(crate) async fn coco(runs: &Runs, run: &str, object: Option<ObjectId>) -> An
 /// Parts of a file that is made while it is sent.
 pub(crate) type MadeParts = BoxStream<'static, Result<Vec<u8>, StudioError>>;
 
-/// Masks of an object, or of all, as an archive in parts as the client takes them, and the file's name.
+/// Masks of an object, or of all, as an archive in parts as the client takes them, and the file's name. One archive of a session is
+/// made at a time: the first part of another one waits, without a thread.
 pub(crate) async fn masks(runs: &Runs, run: &str, object: Option<ObjectId>) -> Answered<(String, MadeParts)> {
     let request = StopsWithRequest(Stopper::new());
     let stopper = request.0.clone();
-    let (name, archive) = answered(runs, run, move |studio| studio.mask_archive(object, stopper)).await?;
-    let next = |state: Option<(MaskArchive, StopsWithRequest)>| async move {
-        let (mut archive, request) = state?;
+    let (name, archive, turn) = answered(runs, run, move |studio| {
+        let (name, archive) = studio.mask_archive(object, stopper)?;
+        Ok((name, archive, studio.archive_turn()))
+    })
+    .await?;
+    let next = |state: Option<WantedArchive>| async move {
+        let WantedArchive { mut archive, request, turn, own } = state?;
+        let own = match own {
+            Some(own) => own,
+            None => turn.clone().lock_owned().await,
+        };
         let made = tokio::task::spawn_blocking(move || {
             let part = archive.next_part();
             (part, archive)
         });
         match made.await {
-            Ok((part, archive)) => Some((part.transpose()?, Some((archive, request)))),
+            Ok((part, archive)) => {
+                let rest = WantedArchive { archive, request, turn, own: Some(own) };
+                Some((part.transpose()?, Some(rest)))
+            }
             // An archive without its end would pass for a whole one.
             Err(_) => Some((Err(StudioError::Request("the masks could not be made")), None)),
         }
     };
-    Ok((name, stream::unfold(Some((archive, request)), next).boxed()))
+    let wanted = WantedArchive { archive, request, turn, own: None };
+    Ok((name, stream::unfold(Some(wanted), next).boxed()))
+}
+
+/// An archive that a client takes.
+struct WantedArchive {
+    archive: MaskArchive,
+    request: StopsWithRequest,
+    /// The turn to make one.
+    turn: Arc<tokio::sync::Mutex<()>>,
+    /// The turn, once it is this one's.
+    own: Option<OwnedMutexGuard<()>>,
 }

@@ -16,9 +16,12 @@ const DATE: u16 = 0x21;
 /// Files of an archive at most.
 pub(crate) const MOST_FILES: usize = u16::MAX as usize - 1;
 
+/// What whoever wants a larger archive reads.
+pub(crate) const FULL: &str = "an archive holds 4 GiB and 65,534 files at most: export one object at a time";
+
 /// An archive holds 4 GiB and 65,534 files at most.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("an archive holds 4 GiB and 65,534 files at most: export one object at a time")]
+#[error("{}", FULL)]
 pub(crate) struct ArchiveIsFull;
 
 /// Writes an archive part by part; only the list of its files stays in memory.

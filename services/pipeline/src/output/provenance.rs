@@ -23,6 +23,27 @@ pub struct ExportProvenance {
     pub objects: Vec<ObjectProvenance>,
 }
 
+/// Settings as others may read them: without the paths and addresses of this machine, which say nothing to them.
+pub(crate) fn without_paths(settings: &Settings) -> Settings {
+    let mut settings = settings.clone();
+    settings.vision.code_mut().into_iter().for_each(String::clear);
+    settings.run.lpips_weights.clear();
+    let scene = &mut settings.scene;
+    let paths = [
+        &mut scene.images,
+        &mut scene.ignore,
+        &mut scene.keep_masks,
+        &mut scene.transient_masks,
+        &mut scene.split,
+        &mut scene.imported_splats,
+        &mut scene.imported_frame,
+    ];
+    // Some of them may have a word in the stead of a path.
+    let words = ["none", "auto", "poses"];
+    paths.into_iter().filter(|path| !words.contains(&path.as_str())).for_each(String::clear);
+    settings
+}
+
 /// Numbers that are hashed at a time.
 const AT_A_TIME: usize = 1 << 16;
 
@@ -58,5 +79,31 @@ impl ExportProvenance {
     /// As JSON.
     pub(crate) fn value(&self) -> Value {
         serde_json::to_value(self).unwrap_or_default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use segwild_scene::SceneSettings;
+    use segwild_scene::settings::Field;
+
+    #[test]
+    fn no_path_of_a_setting_is_in_an_exported_file() {
+        let mut settings = Settings::default();
+        let fields = Settings::catalogue().into_iter().flat_map(|(_, _, fields)| fields);
+        // Those that take any text: paths, and these names.
+        let names = ["adapter", "sam", "object_appearance"];
+        let set = |field: &&Field| settings.set(field.name, &format!("/secret/{}", field.name)).is_ok();
+        let texts: Vec<&str> = fields.filter(set).map(|field| field.name).collect();
+        assert!(["models", "lpips_weights", "images", "split"].iter().all(|path| texts.contains(path)), "{texts:?}");
+        let kept = serde_json::to_string(&without_paths(&settings)).expect("JSON");
+        let exported = |name: &&str| kept.contains(&format!("/secret/{name}\""));
+        let exported: Vec<&str> = texts.into_iter().filter(exported).collect();
+        assert_eq!(exported.len(), names.len(), "{exported:?}");
+        assert!(exported.iter().all(|name| names.contains(name)), "{exported:?}");
+        let words = SceneSettings { split: "none".into(), ..SceneSettings::default() };
+        let settings = Settings { scene: words.clone(), ..Settings::default() };
+        assert_eq!(without_paths(&settings).scene, words);
     }
 }

@@ -19,6 +19,14 @@ pub struct MaskedObject {
     whole: Vec<bool>,
 }
 
+impl MaskedObject {
+    /// About how many bytes it takes in memory.
+    pub fn bytes(&self) -> usize {
+        let numbers = |splats: &Splats| 11 * splats.len() + splats.sh.len();
+        4 * (numbers(&self.scene) + numbers(&self.alone)) + self.labels.len() + self.whole.len()
+    }
+}
+
 /// Renders the masks of an object. An engine may be one device: photos are rendered one after the other.
 pub(crate) struct PhotoMasks<'a> {
     session: &'a Session,
@@ -66,9 +74,17 @@ impl<'a> PhotoMasks<'a> {
 }
 
 impl Session {
-    /// An object to be rendered by [`Session::mask_files`]: twice the memory of the scene's splats.
+    /// An object to be rendered by [`Session::mask_files`], from copies of the scene's splats without their colours: masks have none.
     pub fn masked_object(&self, selected: &Selected) -> MaskedObject {
-        let scene = selected.cut_scene(&self.model.splats);
+        let of_scene = &*self.model.splats;
+        let scene = selected.cut_scene(&Splats {
+            means: of_scene.means.clone(),
+            log_scales: of_scene.log_scales.clone(),
+            rotations: of_scene.rotations.clone(),
+            opacities: of_scene.opacities.clone(),
+            sh: vec![0.0; 3 * of_scene.len()],
+            sh_degree: 0,
+        });
         let keep = selected.splats();
         let alone = scene.select(&keep);
         MaskedObject { scene, labels: selected.labels.clone(), alone, whole: vec![true; keep.len()] }

@@ -29,8 +29,8 @@ use segwild_segmenter::{
 };
 use segwild_trainer::Model;
 use segwild_vision::Providers;
-use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 /// How a session is opened.
@@ -68,6 +68,8 @@ pub struct Session {
     /// Its photos, at working size: every click reads all of them, round after round.
     pub(super) photos: Arc<PhotoStore>,
     pub(super) model: Model,
+    /// Hash of its splats, once a file has needed it.
+    pub(super) digest: OnceLock<String>,
     /// Its splats, for those that outlast a request or work beside it: the segmenter, and clients that take them slowly.
     pub(super) splats: Arc<Splats>,
     /// Bytes that the segmenter's features take.
@@ -227,6 +229,7 @@ impl Session {
             scene,
             photos,
             model,
+            digest: OnceLock::new(),
             splats,
             feature_bytes,
             segmenter_bytes,

@@ -7,7 +7,7 @@ use crate::artifacts::selected::Selected;
 use crate::output::cover::cover;
 use crate::output::light::{self, BlendedAppearance};
 use crate::output::objects::coco_masks;
-use crate::output::provenance::scene_digest;
+use crate::output::provenance::{scene_digest, without_paths};
 use crate::output::render::{HIGHLIGHT, over_white};
 use crate::{ExportProvenance, ObjectProvenance, PhotoPrompts, RunError, transients};
 use segwild_flow::Stopper;
@@ -299,15 +299,12 @@ impl Session {
 
     /// How files of this scene, or of some of its objects, are made.
     pub fn provenance(&self, objects: Vec<ObjectProvenance>) -> ExportProvenance {
-        let mut settings = self.made_with.clone();
-        // Where networks are on this machine, and who serves them, says nothing to others.
-        settings.vision.code_mut().into_iter().for_each(String::clear);
         ExportProvenance {
             version: env!("CARGO_PKG_VERSION"),
-            scene: scene_digest(&self.model.splats),
+            scene: self.digest.get_or_init(|| scene_digest(&self.model.splats)).clone(),
             training: self.training.clone(),
             provider: self.providers.name.clone(),
-            settings,
+            settings: without_paths(&self.made_with),
             objects,
         }
     }

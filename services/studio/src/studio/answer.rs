@@ -10,7 +10,7 @@ use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
 /// Time between two checks whether a person still waits for an answer.
-const BUSY: Duration = Duration::from_millis(20);
+pub(crate) const BUSY: Duration = Duration::from_millis(20);
 
 impl Studio {
     /// Cancels the answer that is being made, and starts the one to the present draft.

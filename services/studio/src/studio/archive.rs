@@ -1,11 +1,12 @@
 //! Masks of objects on all photos, as an archive that is made while it is sent.
 
+use super::archive_turn::CountedBytes;
 use super::export::file_stem;
 use super::state::{LOST, Studio, StudioError};
-use crate::document::ObjectId;
-use crate::zip::{ArchiveIsFull, MOST_FILES, ZipWriter};
+use crate::document::{KeptObject, ObjectId, StoredSelection};
+use crate::zip::{self, ArchiveIsFull, MOST_FILES, ZipWriter};
 use segwild_flow::Stopper;
-use segwild_pipeline::{MaskedObject, Selected};
+use segwild_pipeline::MaskedObject;
 use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
 
@@ -13,8 +14,7 @@ use std::sync::{Arc, Weak};
 const PHOTOS: usize = 8;
 
 /// The archive would be too large.
-const FULL: StudioError =
-    StudioError::Request("an archive holds 4 GiB and 65,534 files at most: export one object at a time");
+const FULL: StudioError = StudioError::Request(zip::FULL);
 
 /// An object whose masks are being written.
 struct PresentObject {
@@ -23,6 +23,7 @@ struct PresentObject {
     object: MaskedObject,
     /// Photos that are done.
     photos: usize,
+    _bytes: CountedBytes,
 }
 
 /// The masks of objects, as PNGs of the size of the photos as taken, with `provenance.json` beside them. Only one object and a few
@@ -34,7 +35,10 @@ pub(crate) struct MaskArchive {
     /// `None` after the end.
     zip: Option<ZipWriter>,
     provenance: Option<Vec<u8>>,
-    objects: VecDeque<(String, Arc<Selected>)>,
+    /// Folders of the objects that are to come, and their splats.
+    objects: VecDeque<(String, StoredSelection)>,
+    /// Whether it is of all objects: those whose splats are lost are left out.
+    of_all: bool,
     present: Option<PresentObject>,
 }
 
@@ -48,7 +52,17 @@ impl Studio {
         id: Option<ObjectId>,
         stopper: Stopper,
     ) -> Result<(String, MaskArchive), StudioError> {
-        let (kept, _) = self.numbered(id)?;
+        let kept: Vec<KeptObject> = {
+            let mut state = self.state();
+            match id {
+                Some(id) => {
+                    let object = state.document.objects().get(id)?.clone();
+                    state.store.get(&object.selection).ok_or(LOST)?;
+                    vec![object]
+                }
+                None => state.document.objects().all.clone(),
+            }
+        };
         if kept.len().saturating_mul(2 * self.session.scene().views.len()) >= MOST_FILES {
             return Err(FULL);
         }
@@ -58,29 +72,25 @@ impl Studio {
         let name = id
             .and(kept.first())
             .map_or("masks.zip".into(), |object| format!("{}.masks.zip", file_stem(&object.name)));
-        let mut state = self.state();
-        let mut objects = VecDeque::new();
-        for object in &kept {
-            let folder = match id {
-                Some(_) => String::new(),
-                None => format!("{}-{}/", object.id, file_stem(&object.name)),
-            };
-            match state.store.get(&object.selection) {
-                Some(selected) => objects.push_back((folder, selected)),
-                // Of many objects the others are there.
-                None if id.is_none() => {}
-                None => return Err(LOST),
-            }
-        }
+        let folder = |object: &KeptObject| match id {
+            Some(_) => String::new(),
+            None => format!("{}-{}/", object.id, file_stem(&object.name)),
+        };
         let archive = MaskArchive {
             studio: Arc::downgrade(self),
             stopper,
             zip: Some(ZipWriter::default()),
             provenance: Some(provenance),
-            objects,
+            objects: kept.iter().map(|object| (folder(object), object.selection.clone())).collect(),
+            of_all: id.is_none(),
             present: None,
         };
         Ok((name, archive))
+    }
+
+    /// The turn to make an archive.
+    pub(crate) fn archive_turn(&self) -> Arc<tokio::sync::Mutex<()>> {
+        self.archives.turn()
     }
 }
 
@@ -93,6 +103,7 @@ impl MaskArchive {
         let part = self.make_part();
         if part.is_err() {
             self.zip = None;
+            self.present = None;
         }
         part
     }
@@ -106,14 +117,21 @@ impl MaskArchive {
         let replaced = StudioError::Request("the scene was replaced meanwhile: request it again");
         let studio = self.studio.upgrade().ok_or(replaced)?;
         let session = &studio.session;
-        if self.present.is_none() {
-            self.present = self.objects.pop_front().map(|(folder, selected)| PresentObject {
-                folder,
-                object: session.masked_object(&selected),
-                photos: 0,
-            });
+        while self.present.is_none() {
+            let Some((folder, selection)) = self.objects.pop_front() else { break };
+            let selected = studio.state().store.get(&selection);
+            let Some(selected) = selected else {
+                // Of many objects the others are there.
+                if self.of_all {
+                    continue;
+                }
+                return Err(LOST);
+            };
+            let object = session.masked_object(&selected);
+            let bytes = studio.archives.count(object.bytes());
+            self.present = Some(PresentObject { folder, object, photos: 0, _bytes: bytes });
         }
-        let Some(PresentObject { folder, object, photos }) = &mut self.present else {
+        let Some(PresentObject { folder, object, photos, .. }) = &mut self.present else {
             let end = self.zip.take().map(ZipWriter::end).transpose();
             return end.map_err(full);
         };

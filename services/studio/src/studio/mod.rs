@@ -3,6 +3,7 @@
 mod act;
 mod answer;
 mod archive;
+mod archive_turn;
 mod changes;
 mod export;
 mod hover;
@@ -14,6 +15,7 @@ mod transients;
 mod turns;
 mod writes;
 
+pub(crate) use answer::BUSY;
 pub(crate) use archive::MaskArchive;
 pub(crate) use show::{JPEG_QUALITY, PhotoSearch, three_planes};
 pub use state::{ANSWER_COLOUR, COLOURS, Studio, StudioError};
@@ -26,6 +28,7 @@ use crate::messages::{
 };
 use crate::photo_splats::PhotoSplats;
 use crate::store::SelectionStore;
+use archive_turn::MaskArchives;
 use segwild_flow::{Stopper, lock};
 use segwild_pipeline::{
     Code, ObjectList, RunFolder, Session, SessionOptions, ShownScene, TrainingSnapshot, list_objects,
@@ -114,6 +117,7 @@ impl Studio {
             prepared: AtomicUsize::new(NO_PHOTO),
             preparing: AtomicBool::new(false),
             writes: Mutex::default(),
+            archives: MaskArchives::default(),
             stopper: stopper.clone(),
         });
         studio.recover(opened.earlier);
@@ -137,7 +141,7 @@ impl Studio {
         // Who changes the state may take long: nobody waits for the size of the present answer.
         let present = self.state.try_lock().ok().and_then(|state| state.answer.done.clone());
         let answers = lock(&self.kept).bytes_with(present.as_ref());
-        self.session.bytes() + self.fronts.bytes() + self.photo_splats.bytes() + shown + answers
+        self.session.bytes() + self.fronts.bytes() + self.photo_splats.bytes() + shown + answers + self.archives.bytes()
     }
 
     /// The step of the training that the scene is of; `None` where the training is over.

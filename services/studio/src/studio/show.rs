@@ -70,26 +70,23 @@ impl Studio {
         (labels, state.revision)
     }
 
-    /// Pixels of each photo that show an object, or the answer ([`ANSWER_OBJECT`]), at working size; counted in small renders. Photos
-    /// on which a person could not see it have few or none.
+    /// The splats of an object, or of the answer ([`ANSWER_OBJECT`]), to be counted by [`Studio::pixels_of`].
     ///
     /// # Errors
-    /// When there is no such object or no answer yet, or the scene cannot be rendered.
-    pub fn photos_of(&self, id: ObjectId) -> Result<Vec<usize>, StudioError> {
-        let selected = self.shown_by_photos(id)?;
-        self.pixels_of(&selected)
-    }
-
-    /// The splats of an object, or of the answer, to be counted by [`Studio::pixels_of`].
-    pub(crate) fn shown_by_photos(&self, id: ObjectId) -> Result<Arc<Selected>, StudioError> {
+    /// When there is no such object or no answer yet.
+    pub fn shown_by_photos(&self, id: ObjectId) -> Result<Arc<Selected>, StudioError> {
         Ok(match id {
             ANSWER_OBJECT => self.state().answer.selected.clone().ok_or(DocumentError::NoAnswer)?,
             id => self.selection_of(id)?,
         })
     }
 
-    /// Pixels of each photo that show selected splats.
-    pub(crate) fn pixels_of(&self, selected: &Selected) -> Result<Vec<usize>, StudioError> {
+    /// Pixels of each photo that show selected splats, at working size; counted in small renders. Photos on which a person could not
+    /// see them have few or none.
+    ///
+    /// # Errors
+    /// When the scene cannot be rendered.
+    pub fn pixels_of(&self, selected: &Selected) -> Result<Vec<usize>, StudioError> {
         let pixels = |photo| self.photo_splats.pixels(&self.session, photo, &selected.labels);
         Ok((0..self.session.scene().views.len()).map(pixels).collect::<Result<_, RunError>>()?)
     }

@@ -1,5 +1,6 @@
 //! What a run's session holds for all viewers.
 
+use super::archive_turn::MaskArchives;
 use super::kept::KeptAnswers;
 use super::turns::ProviderTurns;
 use super::writes::WriteQueue;
@@ -124,6 +125,8 @@ pub struct Studio {
     pub(super) preparing: AtomicBool,
     /// Objects that are to be written as selections.
     pub(super) writes: Mutex<WriteQueue<SaveTurn, SaveResult>>,
+    /// Archives of masks that are being made.
+    pub(super) archives: MaskArchives,
     /// Ends what nobody waits for any more: the server's.
     pub(super) stopper: Stopper,
 }
