@@ -4,8 +4,8 @@ use crate::args::{self, path_of};
 use crate::failure::Failure;
 use clap::{Arg, ArgMatches, Command};
 use segwild_farm::{
-    ArtefactSession, ArtefactStore, FarmAccess, FarmAddress, FarmKey, NatsEngine, ObjectArtefacts,
-    USUAL_PATIENCE,
+    ArtefactSession, ArtefactStore, EngineError, FarmAccess, FarmAddress, FarmKey, NatsEngine,
+    ObjectArtefacts, USUAL_PATIENCE,
 };
 use segwild_monitor::MonitorTarget;
 use segwild_monitor::view::FarmTarget;
@@ -68,10 +68,28 @@ pub fn connect_to(
 pub fn farm_to_reach(matches: &ArgMatches, writer: &'static str) -> Result<Option<FarmSource>, Failure> {
     let Some(address) = matches.get_one::<FarmAddress>("farm").cloned() else { return Ok(None) };
     let access = access_of(matches)?;
+    // It is connected to later, when only viewers read what is wrong.
+    for (flag, file) in [("credentials", &access.credentials), ("certificates", &access.certificates)] {
+        let Some(file) = file else { continue };
+        std::fs::read(file)
+            .map_err(|e| Failure::usage(format!("--{flag}: cannot read {}: {e}", file.display())))?;
+    }
     Ok(Some(FarmSource::new(address.to_string(), move || {
-        let engine = NatsEngine::connect(&address, &access, writer, USUAL_PATIENCE)?;
-        Ok(shown_farm(&Arc::new(engine)))
+        let engine = NatsEngine::connect(&address, &access, writer, USUAL_PATIENCE);
+        Ok(shown_farm(&Arc::new(engine.map_err(|error| without_files(error, &access))?)))
     })))
+}
+
+/// An error without the paths of this machine's files, for viewers.
+fn without_files(error: EngineError, access: &FarmAccess) -> EngineError {
+    let EngineError::Server { server, reason } = error else { return error };
+    let mut words = reason.to_string();
+    for (flag, file) in [("credentials", &access.credentials), ("certificates", &access.certificates)] {
+        if let Some(file) = file {
+            words = words.replace(&format!(" {}: ", file.display()), &format!(" of --{flag}: "));
+        }
+    }
+    EngineError::Server { server, reason: words.into() }
 }
 
 /// Who connects to a farm, as the flags say.
@@ -125,4 +143,19 @@ pub fn target_args(command: Command) -> Command {
         command.arg(args::run().required(false).required_unless_present("farm").conflicts_with("farm")),
         "Show this farm: nats://HOST:PORT/NAME",
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn viewers_of_a_farm_read_no_path_of_this_machine() {
+        let file = std::path::PathBuf::from("/home/me/night.creds");
+        let reason = format!("cannot read the credentials {}: permission denied", file.display());
+        let error = EngineError::Server { server: "nats://queue/night".into(), reason: reason.into() };
+        let access = FarmAccess { credentials: Some(file), certificates: None, key: None };
+        let words = without_files(error, &access).to_string();
+        assert_eq!(words, "nats://queue/night: cannot read the credentials of --credentials: permission denied");
+    }
 }

@@ -3,7 +3,7 @@
 //! The address that `segwild serve` prints carries the token. The first request with it gets a cookie, so that the address bar and
 //! the browser's history lose it. Programs send it as `Authorization: Bearer`, those that speak gRPC as well.
 
-use crate::rates::{RatedClient, RequestCost, RequestRates};
+use crate::rates::{AdmittedClient, RatedClient, RequestCost, RequestRates};
 use crate::{grpc, routes};
 use axum::extract::{ConnectInfo, Request, State};
 use axum::http::uri::Authority;
@@ -26,7 +26,7 @@ pub(crate) struct Guard {
     /// Whether it listens on the loopback address: a name that leads here from elsewhere is refused then.
     pub loopback: bool,
     /// What each client has left of its requests.
-    pub rates: RequestRates,
+    pub rates: Arc<RequestRates>,
 }
 
 /// What a request gets that may pass.
@@ -173,7 +173,7 @@ pub(crate) async fn guard(State(guard): State<Arc<Guard>>, request: Request, nex
     response
 }
 
-async fn answer(guard: &Guard, request: Request, next: Next) -> Response {
+async fn answer(guard: &Guard, mut request: Request, next: Next) -> Response {
     let call = is_call(request.headers());
     let checked = guard.checked(&request);
     // The right token passes however many wrong ones come from the same address: nobody locks others out of their own machine. A
@@ -184,7 +184,10 @@ async fn answer(guard: &Guard, request: Request, next: Next) -> Response {
         return too_many(call, wait);
     }
     match checked {
-        Ok(Admission::Answer) => next.run(request).await,
+        Ok(Admission::Answer) => {
+            request.extensions_mut().insert(AdmittedClient { rates: guard.rates.clone(), client });
+            next.run(request).await
+        }
         Ok(Admission::Welcome) => {
             let cookie =
                 format!("{}={}; HttpOnly; SameSite=Strict; Path=/", guard.cookie(), guard.token.text());

@@ -4,7 +4,7 @@
 use segwild_flow::lock;
 use std::collections::HashMap;
 use std::net::{IpAddr, Ipv6Addr};
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// What a request takes of its client's bucket. A candidate under the pointer is 1, which is 10 to 20 ms of a
@@ -26,6 +26,8 @@ impl RequestCost {
     const ACTION: RequestCost = RequestCost(20.0);
     /// Of a file with splats or masks, and of a training.
     const EXPORT: RequestCost = RequestCost(100.0);
+    /// What a candidate in a view costs beyond one in a photo: it is a render.
+    pub const OF_VIEW: RequestCost = RequestCost(RequestCost::RENDER.0 - RequestCost::LEAST.0);
 
     /// That of a call of `session.proto`.
     pub fn of(call: &str) -> RequestCost {
@@ -143,6 +145,28 @@ impl RequestRates {
         bucket.left -= cost;
         Ok(())
     }
+
+    /// Takes what an admitted request costs further, of what comes where not enough is left.
+    fn charge(&self, client: RatedClient, cost: RequestCost, now: Instant) {
+        if let Some(bucket) = lock(&self.buckets).get_mut(&client) {
+            bucket.refill(client.limit(), now);
+            bucket.left -= cost.0;
+        }
+    }
+}
+
+/// The client of a request that was admitted, for whoever finds out by its body that it costs more.
+#[derive(Clone)]
+pub(crate) struct AdmittedClient {
+    pub rates: Arc<RequestRates>,
+    pub client: RatedClient,
+}
+
+impl AdmittedClient {
+    /// Takes what the request costs beyond what it was admitted for.
+    pub fn charge(&self, cost: RequestCost) {
+        self.rates.charge(self.client, cost, Instant::now());
+    }
 }
 
 #[cfg(test)]
@@ -214,6 +238,19 @@ mod tests {
         let later = start + Duration::from_secs(3600);
         assert_eq!(passing(&rates, flooding, LEAST, later, 3 * most, Duration::ZERO), most);
         assert!(rates.admit(flooding, LEAST, start).is_err());
+    }
+
+    #[test]
+    fn what_a_request_costs_further_is_waited_for_by_the_next_one() {
+        let (rates, client) = (Arc::new(RequestRates::default()), client(1, true));
+        let admitted = AdmittedClient { rates: rates.clone(), client };
+        // One that was never admitted has no bucket.
+        admitted.charge(RequestCost::OF_VIEW);
+        assert_eq!(rates.admit(client, LEAST, Instant::now()), Ok(()));
+        (0..WITH_TOKEN.most as usize).for_each(|_| admitted.charge(RequestCost::OF_VIEW));
+        let wait = rates.admit(client, LEAST, Instant::now()).expect_err("more was taken than was left");
+        assert_eq!(rates.admit(client, LEAST, Instant::now() + 2 * wait), Ok(()));
+        assert_eq!(RequestCost(LEAST.0 + RequestCost::OF_VIEW.0), RequestCost::of("Pick"));
     }
 
     #[test]

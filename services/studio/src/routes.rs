@@ -5,13 +5,14 @@ use crate::calls::{
 };
 use crate::messages::{FrameRequest, HoverRequest, PickRequest, StateMessage, StudioAction};
 use crate::page;
+use crate::rates::{AdmittedClient, RequestCost};
 use axum::body::{Body, Bytes};
 use axum::extract::{Path, Query, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodFilter, MethodRouter, get, on};
-use axum::{Json, Router};
+use axum::{Extension, Json, Router};
 use futures_util::StreamExt;
 use segwild_scene::SplatFormat;
 use serde::Deserialize;
@@ -232,8 +233,16 @@ async fn early_photo(
     Ok(kept_jpeg(calls::training_photo(runs, run, photo, size).await?))
 }
 
-async fn hover(State(runs): State<Runs>, Path(run): Path<String>, body: Bytes) -> Answered<Response> {
+async fn hover(
+    State(runs): State<Runs>,
+    Path(run): Path<String>,
+    Extension(client): Extension<AdmittedClient>,
+    body: Bytes,
+) -> Answered<Response> {
     let request: HoverRequest = read(&body)?;
+    if request.view.is_some() {
+        client.charge(RequestCost::OF_VIEW);
+    }
     Ok(Json(answered(&runs, &run, move |studio| studio.hover(&request)).await?).into_response())
 }
 

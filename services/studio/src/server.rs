@@ -109,7 +109,8 @@ fn started(folder: Option<&Path>, options: ServeOptions) -> Result<StudioServer,
         let runs = Arc::new(ServedRuns::new(folder, farm, memory_budget, program, code, photos));
         runs.open_first();
         let loopback = address.ip().is_loopback();
-        let guards = Guard { token: token.clone(), address, loopback, rates: RequestRates::default() };
+        let rates = Arc::new(RequestRates::default());
+        let guards = Guard { token: token.clone(), address, loopback, rates };
         let (calls, service) = session(runs.clone(), MOST_BODY);
         routes(runs)
             .route_service(&calls, service)

@@ -8,6 +8,7 @@ use crate::StudioError;
 use crate::calls::{
     self, JPEG, MadeParts, OCTETS, PNG, Refusal, RefusalKind, Runs, SHOWN_SIZE, ZIP, answered,
 };
+use crate::rates::{AdmittedClient, RequestCost};
 use futures_util::StreamExt;
 use futures_util::stream::{self, BoxStream};
 use requests::NoSuchRequest;
@@ -184,6 +185,9 @@ impl Session for SessionService {
 
     async fn hover(&self, request: Request<v1::HoverRequest>) -> Reply<v1::HoverResponse> {
         let at = requests::hover(request.get_ref())?;
+        if let (Some(_), Some(client)) = (&at.view, request.extensions().get::<AdmittedClient>()) {
+            client.charge(RequestCost::OF_VIEW);
+        }
         let found = answered(&self.runs, &request.get_ref().run, move |studio| studio.hover(&at)).await?;
         reply(v1::HoverResponse { candidate: found.map(replies::labels) })
     }
