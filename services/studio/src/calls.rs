@@ -4,7 +4,7 @@ use crate::document::ObjectId;
 use crate::farm::{FarmRetryError, SeenFarm};
 use crate::messages::{RunEntry, StateMessage, StudioAction, TrainingMessage};
 use crate::runs::{Found, ServedRuns};
-use crate::studio::{BUSY, MaskArchive, PhotoSearch};
+use crate::studio::{BUSY, MaskArchive, PhotoSearch, REPLACED};
 use crate::{Studio, StudioError};
 use futures_util::StreamExt;
 use futures_util::stream::{self, BoxStream};
@@ -223,7 +223,7 @@ pub(crate) async fn photos_of(runs: &Runs, run: &str, object: ObjectId) -> Answe
 }
 
 fn closed() -> Refusal {
-    Refusal::Because(RefusalKind::Conflict, "the scene was replaced meanwhile: request it again".into())
+    REPLACED.into()
 }
 
 /// Continues the training without corrected transients.

@@ -2,7 +2,7 @@
 
 use super::archive_turn::CountedBytes;
 use super::export::file_stem;
-use super::state::{LOST, Studio, StudioError};
+use super::state::{LOST, REPLACED, Studio, StudioError};
 use crate::document::{KeptObject, ObjectId, StoredSelection};
 use crate::zip::{self, ArchiveIsFull, MOST_FILES, ZipWriter};
 use segwild_flow::Stopper;
@@ -114,8 +114,7 @@ impl MaskArchive {
         if let Some(text) = self.provenance.take() {
             return Ok(Some(zip.file("provenance.json", &text).map_err(full)?));
         }
-        let replaced = StudioError::Request("the scene was replaced meanwhile: request it again");
-        let studio = self.studio.upgrade().ok_or(replaced)?;
+        let studio = self.studio.upgrade().ok_or(REPLACED)?;
         let session = &studio.session;
         while self.present.is_none() {
             let Some((folder, selection)) = self.objects.pop_front() else { break };

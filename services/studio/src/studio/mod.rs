@@ -18,6 +18,7 @@ mod writes;
 pub(crate) use answer::BUSY;
 pub(crate) use archive::MaskArchive;
 pub(crate) use show::{JPEG_QUALITY, PhotoSearch, three_planes};
+pub(crate) use state::REPLACED;
 pub use state::{ANSWER_COLOUR, COLOURS, Studio, StudioError};
 
 use crate::document::{Journal, JournalEntry};

@@ -203,6 +203,10 @@ impl Drop for Studio {
 pub(super) const LOST: StudioError =
     StudioError::Request("the splats of this object are lost: refine it to ask for it again");
 
+/// A newer scene has taken the session's stead.
+pub(crate) const REPLACED: StudioError =
+    StudioError::Conflict("the scene was replaced meanwhile: request it again");
+
 pub(super) fn mark(to: &mut [u8], labels: &[bool], with: u8) {
     to.iter_mut().zip(labels).filter(|(_, label)| **label).for_each(|(to, _)| *to = with);
 }
