@@ -156,6 +156,9 @@ mod tests {
         let error = EngineError::Server { server: "nats://queue/night".into(), reason: reason.into() };
         let access = FarmAccess { credentials: Some(file), certificates: None, key: None };
         let words = without_files(error, &access).to_string();
-        assert_eq!(words, "nats://queue/night: cannot read the credentials of --credentials: permission denied");
+        assert_eq!(
+            words,
+            "nats://queue/night: cannot read the credentials of --credentials: permission denied"
+        );
     }
 }

@@ -277,7 +277,9 @@ impl ServedRuns {
             let bytes: usize = opened.iter().map(|(.., bytes)| bytes).sum();
             opened.retain(|(_, _, name, _)| name != newest);
             opened.sort();
-            let Some((_, _, oldest, _)) = opened.first().filter(|_| bytes > self.memory_budget) else { return };
+            let Some((_, _, oldest, _)) = opened.first().filter(|_| bytes > self.memory_budget) else {
+                return;
+            };
             if let Some(OpenState::Open { studio, .. }) = open.remove(oldest) {
                 studio.end_writes();
             }

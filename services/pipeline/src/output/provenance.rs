@@ -96,7 +96,10 @@ mod tests {
         let names = ["adapter", "sam", "object_appearance"];
         let set = |field: &&Field| settings.set(field.name, &format!("/secret/{}", field.name)).is_ok();
         let texts: Vec<&str> = fields.filter(set).map(|field| field.name).collect();
-        assert!(["models", "lpips_weights", "images", "split"].iter().all(|path| texts.contains(path)), "{texts:?}");
+        assert!(
+            ["models", "lpips_weights", "images", "split"].iter().all(|path| texts.contains(path)),
+            "{texts:?}"
+        );
         let kept = serde_json::to_string(&without_paths(&settings)).expect("JSON");
         let exported = |name: &&str| kept.contains(&format!("/secret/{name}\""));
         let exported: Vec<&str> = texts.into_iter().filter(exported).collect();

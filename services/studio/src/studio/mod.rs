@@ -142,7 +142,12 @@ impl Studio {
         // Who changes the state may take long: nobody waits for the size of the present answer.
         let present = self.state.try_lock().ok().and_then(|state| state.answer.done.clone());
         let answers = lock(&self.kept).bytes_with(present.as_ref());
-        self.session.bytes() + self.fronts.bytes() + self.photo_splats.bytes() + shown + answers + self.archives.bytes()
+        self.session.bytes()
+            + self.fronts.bytes()
+            + self.photo_splats.bytes()
+            + shown
+            + answers
+            + self.archives.bytes()
     }
 
     /// The step of the training that the scene is of; `None` where the training is over.
