@@ -300,7 +300,7 @@ fn hidden_and_isolated_objects_show_in_frames_and_labels() {
         labels.len() - inside
     );
     assert!(frame(false) != plain);
-    let pixels_of = |id| studio.pixels_of(&studio.shown_by_photos(id)?);
+    let pixels_of = |id| studio.shown_by_photos(id).and_then(|shown| studio.pixels_of(&shown));
     let counts = pixels_of(1).unwrap();
     assert_eq!(counts.len(), studio.describe().photos.len());
     // Photos this small are counted as they are.
