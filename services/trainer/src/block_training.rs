@@ -47,8 +47,7 @@ impl Trainer {
         match (&self.blocks, self.turn.map(|turn| turn.part)) {
             (Some(blocks), Some(BlockPart::Block(block))) => {
                 let frozen = params.splats.len() - params.trained();
-                let share = most as f32 * blocks.division.shares[block];
-                (share as usize).min(most.saturating_sub(frozen)).max(1)
+                blocks.division.cap(block, most, frozen).max(1)
             }
             (Some(_), Some(BlockPart::Seams)) => params.trained(),
             (Some(_), Some(BlockPart::Coarse) | None) | (None, _) => self.settings.first_cap(most),
@@ -111,8 +110,7 @@ impl Trainer {
         let own = splats.means.iter().filter(|mean| core.contains(Vec3::from(**mean))).count();
         let trained = marked.iter().filter(|marked| **marked).count();
         let most = self.state.splat_budget.splats();
-        let share = (most as f32 * blocks.division.shares[block]) as usize;
-        let space = share.saturating_sub(trained).min(most.saturating_sub(splats.len()));
+        let space = blocks.division.cap(block, most, splats.len() - trained).saturating_sub(trained);
         let count = points.len().saturating_sub(own).min(space);
         if count < LEAST_POINTS {
             return None;

@@ -118,6 +118,9 @@ pub(crate) fn initial_transients(
         steps: search_steps(settings.steps),
         sh_degree: settings.sh_degree.min(1),
         splats: 0,
+        // It is not divided, and on photos at half size and with fewer colours takes less memory than the whole
+        // training by blocks: a part of the splats would leave the scene undertrained.
+        blocks: 1,
         appearance_model: if is_of_one_light(settings) {
             AppearanceModel::None
         } else {

@@ -28,23 +28,28 @@ pub(crate) struct Schedule {
     sh_degree: u32,
     /// Halvings of the photo at the end.
     finest: usize,
+    /// Whether it goes on from a training that has found the transients: they are left out from its first step on.
+    transients_known: bool,
 }
 
 impl Schedule {
     pub fn new(settings: &TrainSettings) -> Schedule {
         let &TrainSettings { steps, coarse, splat_embedding_from, sh_degree, .. } = settings;
-        Schedule { first: 0, steps, coarse, splat_embedding_from, sh_degree, finest: 0 }
+        let (finest, transients_known) = (0, false);
+        Schedule { first: 0, steps, coarse, splat_embedding_from, sh_degree, finest, transients_known }
     }
 
     /// The schedule of a turn in a training by blocks: few splats learn the whole scene from small photos, and a block
-    /// goes on from there with the whole photos.
+    /// goes on from there with the whole photos, and with the transients that it found.
     pub fn of_turn(settings: &TrainSettings, turn: &BlockTurn) -> Schedule {
         let whole = Schedule::new(settings);
         let &BlockTurn { part, first, steps, late } = turn;
         match part {
             _ if late => whole,
             BlockPart::Coarse => Schedule { first, steps, finest: 1, ..whole },
-            BlockPart::Block(_) | BlockPart::Seams => Schedule { first, steps, coarse: 0.0, ..whole },
+            BlockPart::Block(_) | BlockPart::Seams => {
+                Schedule { first, steps, coarse: 0.0, transients_known: true, ..whole }
+            }
         }
     }
 
@@ -100,12 +105,12 @@ impl Schedule {
     /// Whether transients are left out at a step: not before the scene explains anything, and not so late that they
     /// have become part of it.
     pub fn robust(&self, step: u32) -> bool {
-        self.share(step) >= 0.15
+        self.transients_known || self.share(step) >= 0.15
     }
 
     /// Whether the transients of the network's visibility map are left out: after it has had time to learn them.
     pub fn visible(&self, step: u32) -> bool {
-        self.share(step) >= 0.3
+        self.transients_known || self.share(step) >= 0.3
     }
 
     /// Whether splats without multi-view support are pruned after so many steps: eight times, or fewer where photos
@@ -161,9 +166,10 @@ mod tests {
         for step in 0..=500 {
             let at = 900 + step;
             assert_eq!(
-                (block.level(at), block.mean_factor(at), block.late_factor(at), block.robust(at)),
-                (whole.level(step), whole.mean_factor(step), whole.late_factor(step), whole.robust(step))
+                (block.level(at), block.mean_factor(at), block.late_factor(at), block.sh_degree(at)),
+                (whole.level(step), whole.mean_factor(step), whole.late_factor(step), whole.sh_degree(step))
             );
+            assert!(block.robust(at) && block.visible(at), "{step}: the coarse training has found the transients");
             assert_eq!(block.multi_view_pruning(at, 20), whole.multi_view_pruning(step, 20), "{step}");
             assert_eq!(block.pose_refinement(at), whole.pose_refinement(step), "{step}");
         }

@@ -56,6 +56,8 @@ pub(crate) struct Division {
     pub photos: Vec<Vec<usize>>,
     /// Per block, the share of cameras and points in its border box.
     pub shares: Vec<f32>,
+    /// Per block, the share of cameras and points that its turn trains ([`Division::trains`]).
+    pub trained_shares: Vec<f32>,
     /// The share of cameras and points in the border boxes of two blocks or more.
     pub seam_share: f32,
 }
@@ -76,14 +78,32 @@ impl Division {
         let positions: Vec<Vec3> = positions.filter(|position| position.is_finite()).collect();
         let mut blocks = Vec::with_capacity(count);
         split(positions.clone(), count, ground_axes(scene), Aabb::EVERYWHERE, &mut blocks);
-        let mut division = Division { photos: Vec::new(), shares: Vec::new(), seam_share: 0.0, blocks };
+        let (shares, trained_shares) = (Vec::new(), Vec::new());
+        let mut division = Division { photos: Vec::new(), shares, trained_shares, seam_share: 0.0, blocks };
         let share = |of: &dyn Fn(Vec3) -> bool| {
             positions.iter().filter(|&&position| of(position)).count() as f32 / positions.len().max(1) as f32
         };
         let shares = division.blocks.iter().map(|block| share(&|position| block.border.contains(position)));
         division.shares = shares.collect();
+        let blocks = 0..division.blocks.len();
+        let trained = blocks.map(|block| share(&|position| division.trains(block, position)));
+        division.trained_shares = trained.collect();
         division.seam_share = share(&|position| division.at_seam(position));
         division
+    }
+
+    /// Whether a block trains a splat at a position: one in its core or, of its border, in the core of a block that has
+    /// yet to come. The photos of this block alone would spoil what the others have finished.
+    pub fn trains(&self, block: usize, position: Vec3) -> bool {
+        let finished = self.blocks[..block].iter().any(|before| before.core.contains(position));
+        self.blocks[block].border.contains(position) && !finished
+    }
+
+    /// Most splats that a block may come to in its turn, of `most` in all of which so many are frozen. All positions
+    /// are given as many splats each: what a block trains in the border it hands on, and the next one does not start
+    /// with less.
+    pub fn cap(&self, block: usize, most: usize, frozen: usize) -> usize {
+        ((most as f32 * self.trained_shares[block]) as usize).min(most.saturating_sub(frozen))
     }
 
     /// Whether a position lies at a seam: in the border boxes of two blocks or more.
@@ -268,6 +288,45 @@ mod tests {
                 assert!(!division.photos_at_seams().is_empty());
                 let largest = division.shares.iter().copied().fold(0.0, f32::max);
                 assert!(largest < 1.6 / count as f32 + 0.05, "{largest} of {count}: the blocks are alike");
+            }
+        }
+    }
+
+    #[test]
+    fn every_block_comes_to_its_share_of_the_splats() {
+        const MOST: usize = 100_000;
+        let mut scene = street(16, 3000, false);
+        // A square, so that a block has neighbours along both axes.
+        scene.points.iter_mut().for_each(|point| point.position.y *= 10.0);
+        let positions = scene.views.iter().map(|view| view.pose.centre());
+        let positions: Vec<Vec3> = positions.chain(scene.points.iter().map(|point| point.position)).collect();
+        let all = positions.len() as f32;
+        for count in [4, 8, 16] {
+            let division = Division::of(&scene, count);
+            let owns = |block: usize, position: Vec3| division.blocks[block].core.contains(position);
+            let handed_on = |block: usize| {
+                let trained = positions.iter().filter(|position| division.trains(block, **position));
+                trained.filter(|position| !owns(block, **position)).count() as f32 / all
+            };
+            let kept: f32 = (0..count).map(|block| division.trained_shares[block] - handed_on(block)).sum();
+            assert!((0.99..=1.0 + 1e-4).contains(&kept), "{kept} of {count}");
+            // The coarse training spreads its splats over all positions, a turn its own over what it trains.
+            let mut splats = vec![MOST as f32 / count as f32 / all; positions.len()];
+            for block in 0..count {
+                let trains: Vec<bool> = positions.iter().map(|at| division.trains(block, *at)).collect();
+                let frozen: f32 =
+                    splats.iter().zip(&trains).filter(|(_, trains)| !**trains).map(|(own, _)| own).sum();
+                let cap = division.cap(block, MOST, frozen.ceil() as usize) as f32;
+                let each = cap / trains.iter().filter(|trains| **trains).count() as f32;
+                let trained = splats.iter_mut().zip(&trains).filter(|(_, trains)| **trains);
+                trained.for_each(|(own, _)| *own = each);
+            }
+            assert!(splats.iter().sum::<f32>() <= MOST as f32 * (1.0 + 1e-3), "{count}");
+            for block in 0..count {
+                let own = positions.iter().zip(&splats).filter(|(at, _)| owns(block, **at));
+                let own: Vec<f32> = own.map(|(_, splats)| *splats).collect();
+                let (fair, got) = (own.len() as f32 / all * MOST as f32, own.iter().sum::<f32>());
+                assert!(got >= 0.9 * fair, "block {block} of {count}: {got} of {fair}");
             }
         }
     }

@@ -98,18 +98,14 @@ impl BlockTurns {
         *started.unwrap_or(&self.turns[0])
     }
 
-    /// Whether a splat at a position is trained in a turn. A block trains its core and, of its border, what lies in
-    /// blocks that have yet to come: the photos of this block alone would spoil what the others have finished.
+    /// Whether a splat at a position is trained in a turn.
     pub fn trains(&self, turn: &BlockTurn, position: Vec3) -> bool {
         let blocks = &self.division.blocks;
         match turn.part {
             BlockPart::Coarse => true,
             BlockPart::Seams => self.division.at_seam(position),
             BlockPart::Block(block) if turn.late => blocks[block].core.contains(position),
-            BlockPart::Block(block) => {
-                let finished = blocks[..block].iter().any(|before| before.core.contains(position));
-                blocks[block].border.contains(position) && !finished
-            }
+            BlockPart::Block(block) => self.division.trains(block, position),
         }
     }
 
