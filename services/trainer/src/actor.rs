@@ -144,12 +144,13 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
             return self.import(order, imported, context);
         }
         let (engine, scene, photos) = (self.engine.clone(), &*order.scene, order.photos.clone());
+        let stopping = || {
+            context.progress();
+            context.stopping()
+        };
         let started = match (order.checkpoint)()? {
-            Some(checkpoint) => Trainer::resume(engine, scene, photos, checkpoint),
-            None => Trainer::prepared(engine, scene, photos, order.settings.clone(), &|| {
-                context.progress();
-                context.stopping()
-            }),
+            Some(checkpoint) => Trainer::resume_unless(engine, scene, photos, checkpoint, &stopping),
+            None => Trainer::prepared(engine, scene, photos, order.settings.clone(), &stopping),
         };
         let mut trainer = started.map_err(|e| match e {
             TrainError::Stopped => ActorFailure::stopped(),
@@ -157,8 +158,8 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         })?;
         trainer.hold_photos(order.settings.photo_cache_mib);
         trainer.set_lpips(order.lpips.clone());
-        for warning in trainer.warnings() {
-            context.events().warn(Some("geometry"), warning.clone());
+        for warning in trainer.warnings().iter().cloned().chain(trainer.unreached_in_words(order.until)) {
+            context.events().warn(Some("geometry"), warning);
         }
         if let Some(share) = trainer.initial_transient_share() {
             let photos = trainer.robust_shares().iter().filter(|&&share| share > 0.0).count();
@@ -220,20 +221,21 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
         for words in trainer.aligned_poses_in_words() {
             context.events().info(Some("geometry"), words);
         }
-        let stopping = || {
-            context.progress();
-            context.stopping()
-        };
-        let seams = trainer.seam_check(&stopping).map_err(|e| match e {
-            TrainError::Stopped => ActorFailure::stopped(),
-            e => ActorFailure::fatal(e),
-        })?;
-        if let Some(seams) = seams {
-            match seams.stands_out() {
-                true => context.events().warn(Some("geometry"), seams.in_words()),
-                false => context.events().info(Some("geometry"), seams.in_words()),
+        match trainer.seam_check(&stopping) {
+            Ok(None) => {}
+            Ok(Some(seams)) => {
+                match seams.stands_out() {
+                    true => context.events().warn(Some("geometry"), seams.in_words()),
+                    false => context.events().info(Some("geometry"), seams.in_words()),
+                }
+                self.send(TrainOutcome::Seams(seams))?;
             }
-            self.send(TrainOutcome::Seams(seams))?;
+            Err(TrainError::Stopped) => return Err(ActorFailure::stopped()),
+            // The scene is trained, and is worth more than the check.
+            Err(error) => {
+                let words = format!("the seams of the blocks are not checked: {error}");
+                context.events().warn(Some("geometry"), words);
+            }
         }
         let skipped = trainer.skipped();
         let model = trainer.finish().map_err(ActorFailure::fatal)?;

@@ -15,24 +15,64 @@ use std::sync::Arc;
 
 /// Points that start splats in a block, at least: fewer show no surface.
 const LEAST_POINTS: usize = 32;
-/// The warning about a scene that has several blocks by the settings, and one in fact.
+/// The warning about a scene that has several blocks by the given settings, and one in fact.
 const UNDIVIDED: &str =
     "the scene cannot be divided into blocks: its cameras and points are too few, or lie at one position";
 
 impl Trainer {
-    /// Divides the scene, where the settings name several blocks. `given`: the scene with its poses as given; `points`:
-    /// its points with their colours.
-    pub(crate) fn divided(mut self, given: &Scene, points: &[Point]) -> Trainer {
-        if self.settings.blocks < 2 {
-            return self;
+    /// Divides the scene, where the settings name several blocks; `requested` is their number before it was decided
+    /// ([`TrainSettings::decided`]). `given`: the scene with its poses as given; `points`: its points with their colours.
+    pub(crate) fn divided(mut self, requested: usize, given: &Scene, points: &[Point]) -> Trainer {
+        let TrainSettings { blocks, steps, .. } = self.settings;
+        if blocks > 1 {
+            self.blocks = BlockTurns::of(given, points, blocks, steps).map(Arc::new);
         }
-        let turns = BlockTurns::of(given, points, self.settings.blocks, self.settings.steps);
-        if turns.is_none() {
-            tracing::warn!("{UNDIVIDED}");
-            self.warnings.push(UNDIVIDED.into());
+        if self.blocks.is_none() {
+            if requested > 1 {
+                tracing::warn!("{UNDIVIDED}");
+                self.warnings.push(UNDIVIDED.into());
+            }
+            self.settings.blocks = self.settings.blocks.min(1);
         }
-        self.blocks = turns.map(Arc::new);
         self
+    }
+
+    /// A warning about a training that goes on past its end up to step `until`, where some blocks get no step of it.
+    pub(crate) fn unreached_in_words(&self, until: u32) -> Option<String> {
+        let blocks = self.blocks.as_ref()?;
+        let (left, all) = (blocks.unreached(self.state.step, until), blocks.division.blocks.len());
+        let round = blocks.round();
+        (left > 0).then(|| {
+            format!(
+                "the further steps come to {} of the {all} blocks, and the others stay as they are: a step for each \
+                 photo of each block takes {round} steps",
+                all - left
+            )
+        })
+    }
+
+    /// Leaves a turn none of whose photos can be used: its splats stay as they are, and its steps fit the other photos.
+    /// False where no photo of any block can be used.
+    pub(crate) fn leave_turn(&mut self) -> Result<bool, TrainError> {
+        let Some(blocks) = self.blocks.clone() else { return Ok(false) };
+        let views = self.usable(blocks.all_photos());
+        if views.is_empty() {
+            return Ok(false);
+        }
+        self.download()?;
+        tracing::warn!("no photo of a block can be used: its splats stay as they are");
+        let params = &mut self.state.params;
+        let (marked, none) = (vec![false; params.splats.len()], params.splats.select(&[]));
+        params.train_only(&marked, (&none, &[]));
+        self.state.strategy = Strategy::new(&self.settings, 0);
+        self.state.sampler = Sampler::new(&views);
+        Ok(true)
+    }
+
+    /// Those of the views whose photos have not turned out to be unusable.
+    fn usable(&self, mut views: Vec<usize>) -> Vec<usize> {
+        views.retain(|&view| !self.state.is_skipped(&self.views[view].name));
+        views
     }
 
     /// Whether appearance, background and pose of the photos stay as they are: as the coarse training of the whole
@@ -75,6 +115,10 @@ impl Trainer {
             return Ok(());
         }
         self.download()?;
+        let views = self.usable(blocks.photos(turn.part));
+        if views.is_empty() && self.leave_turn()? {
+            return Ok(());
+        }
         let means = &self.state.params.splats.means;
         let marked: Vec<bool> = means.iter().map(|mean| blocks.trains(&turn, Vec3::from(*mean))).collect();
         let added = match turn.part {
@@ -91,7 +135,7 @@ impl Trainer {
         let steps = if turn.late { self.settings.steps } else { turn.steps };
         let settings = TrainSettings { steps, ..self.settings.clone() };
         self.state.strategy = Strategy::new(&settings, self.state.params.trained());
-        self.sample_photos(blocks.photos(turn.part));
+        self.sample_photos(&views);
         // Photos grow finer from the coarse training to the blocks, and by new splats a block is to learn more of them.
         if !turn.late && !matches!(self.state.appearance, AnyAppearance::Gsw(_)) {
             self.state.pause_until = step + self.schedule.pause();
@@ -121,15 +165,10 @@ impl Trainer {
         Some(first_splats(positions, &colours, &vec![self.state.pixel; count], &distances, splats.sh_degree))
     }
 
-    /// Trains on these photos from now on, as far as they can be used; on those before where none of them can.
-    fn sample_photos(&mut self, mut views: Vec<usize>) {
-        let state = &mut self.state;
-        views.retain(|&view| !state.skipped.iter().any(|(name, _)| *name == self.views[view].name));
-        if views.is_empty() {
-            views = state.sampler.views();
-        }
+    /// Trains on these photos from now on.
+    fn sample_photos(&mut self, views: &[usize]) {
         // Whether growth pays is measured within the turn.
-        views.iter().for_each(|&view| state.quality[view] = None);
-        state.sampler = Sampler::new(&views);
+        views.iter().for_each(|&view| self.state.quality[view] = None);
+        self.state.sampler = Sampler::new(views);
     }
 }

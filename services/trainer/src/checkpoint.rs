@@ -5,6 +5,8 @@ use crate::colours::coloured;
 use crate::model::{Model, Stats};
 use crate::photos::Photos;
 use crate::posed::posed;
+use crate::poses_by_points::PosesByPoints;
+use crate::refined_pose::with_poses;
 use crate::schedule::Schedule;
 use crate::state::{TrainState, mean_quality};
 use crate::trainer::{Trainer, photo_cache};
@@ -56,7 +58,7 @@ fn settings_of(named: &[(String, String)]) -> Result<TrainSettings, TrainError> 
 
 /// The scene of a training's state. Views are named by `names`.
 fn model_of(state: &TrainState, names: Vec<String>, settings: &TrainSettings) -> Model {
-    let views = state.trained_views(settings.blocks);
+    let views = state.trained_views(settings.blocks, |view| names[view].as_str());
     let mut appearance = state.appearance.clone();
     let known = (0..names.len()).filter(|&v| state.backgrounds[v].is_some());
     appearances::set_mean(&mut appearance, names.len(), known);
@@ -86,6 +88,17 @@ impl Trainer {
         photos: Arc<dyn Photos>,
         checkpoint: Checkpoint,
     ) -> Result<Trainer, TrainError> {
+        Trainer::resume_unless(engine, scene, photos, checkpoint, &|| false)
+    }
+
+    /// The same; `stopping` ends the search for the colours of points, which reads photos.
+    pub(crate) fn resume_unless(
+        engine: Arc<dyn Engine>,
+        scene: &Scene,
+        photos: Arc<dyn Photos>,
+        checkpoint: Checkpoint,
+        stopping: &dyn Fn() -> bool,
+    ) -> Result<Trainer, TrainError> {
         let settings = settings_of(&checkpoint.settings)?;
         let names: Vec<String> = scene.views.iter().map(|v| v.name.clone()).collect();
         if names != checkpoint.names {
@@ -100,15 +113,19 @@ impl Trainer {
         let mut photos = photo_cache(scene, photos, &settings);
         let schedule = Schedule::new(&settings);
         let state = checkpoint.state;
-        // Points' colours are needed at the first step of a photo, and where a block starts.
+        // Points' colours are needed at the first step of a photo, and where a block starts. They are those of the start of
+        // the training, which found them by the poses that its points refined.
         let unseen = state.sampler.views().iter().any(|&view| state.backgrounds[view].is_none());
-        let shown = if unseen || settings.blocks > 1 {
-            coloured(scene, &mut photos, &|| false)?
+        let shown = if (unseen || settings.blocks > 1) && scene.colourless().is_some() {
+            let refined = PosesByPoints::of(scene, &settings).refined;
+            let points = coloured(&with_poses(scene, &refined), &mut photos, stopping)?.points.clone();
+            Cow::Owned(Scene { points, ..scene.clone() })
         } else {
             Cow::Borrowed(scene)
         };
+        let requested = settings.blocks;
         let trainer = Trainer::of_state(engine, settings, schedule, posed(&shown), photos, state);
-        Ok(trainer.divided(scene, &shown.points))
+        Ok(trainer.divided(requested, scene, &shown.points))
     }
 
     /// Everything needed to continue later.

@@ -25,6 +25,7 @@ impl Trainer {
         stopping: &dyn Fn() -> bool,
     ) -> Result<Trainer, TrainError> {
         settings.check()?;
+        let requested = settings.blocks;
         let settings = settings.decided(scene);
         let poses = PosesByPoints::of(scene, &settings);
         let mut cache = photo_cache(scene, photos, &settings);
@@ -35,7 +36,7 @@ impl Trainer {
         let robust = ResidualHistograms::new(found.robust_shares(&settings), found.shares.clone());
         let mut trainer = Trainer::start(engine, start, cache, settings, 0, &stereo)?
             .with_poses(scene, poses)
-            .divided(scene, &start.points);
+            .divided(requested, scene, &start.points);
         trainer.initial_transient_share = found.mean_share();
         trainer.state.initial_transients = found.masks;
         trainer.state.robust = robust;

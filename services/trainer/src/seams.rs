@@ -116,7 +116,7 @@ impl Trainer {
         let at_seams = splats.means.iter().map(|mean| division.at_seam(Vec3::from(*mean)));
         let at_seams: Vec<f32> = at_seams.map(|at| f32::from(u8::from(at))).collect();
         let mut compared = Vec::new();
-        for view in self.state.trained_views(self.settings.blocks) {
+        for view in self.state.trained_views(self.settings.blocks, |view| self.views[view].name.as_str()) {
             if stopping() {
                 return Err(TrainError::Stopped);
             }

@@ -1,7 +1,7 @@
 //! The settings of the training.
 
 use crate::TrainError;
-use crate::blocks::SEAMS;
+use crate::blocks::{SEAMS, is_divisible};
 use segwild_objective::GswWidth;
 use segwild_scene::Scene;
 use segwild_scene::settings::Group;
@@ -190,7 +190,8 @@ impl TrainSettings {
         if self.robust { self.robust_share } else { 0.0 }
     }
 
-    /// With the number of steps for the scene's photos, where that is left to the scene.
+    /// With the number of steps for the scene's photos, where that is left to the scene, and with one block where the
+    /// scene cannot be divided.
     #[must_use]
     pub fn decided(&self, scene: &Scene) -> TrainSettings {
         let photos = scene.views.iter().filter(|v| !v.test).count();
@@ -198,8 +199,10 @@ impl TrainSettings {
             // Nothing is trained: a step is the fit of a photo's appearance.
             return TrainSettings { steps: photos as u32, effort: 1.0, ..self.clone() };
         }
+        let blocks = if self.blocks > 1 && !is_divisible(scene, self.blocks) { 1 } else { self.blocks };
+        let divided = TrainSettings { blocks, ..self.clone() };
         // The effort is part of the steps now.
-        TrainSettings { steps: self.steps_for(photos), effort: 1.0, ..self.clone() }
+        TrainSettings { steps: divided.steps_for(photos), effort: 1.0, ..divided }
     }
 
     /// Of the splats that a training may come to, as many as it has at first: those of a block, where there are

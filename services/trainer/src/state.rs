@@ -47,14 +47,20 @@ pub(crate) struct TrainState {
 }
 
 impl TrainState {
-    /// The views that are trained on, in ascending order: where there are several blocks, all whose photos had a step.
-    pub fn trained_views(&self, blocks: usize) -> Vec<usize> {
-        let had_a_step = |view: &usize| self.backgrounds[*view].is_some();
+    /// The views that are trained on, in ascending order: where there are several blocks, all whose photos had a step
+    /// and can still be used. `name`: that of a view.
+    pub fn trained_views<'a>(&self, blocks: usize, name: impl Fn(usize) -> &'a str) -> Vec<usize> {
+        let takes_part = |view: &usize| self.backgrounds[*view].is_some() && !self.is_skipped(name(*view));
         if blocks > 1 {
-            (0..self.backgrounds.len()).filter(had_a_step).collect()
+            (0..self.backgrounds.len()).filter(takes_part).collect()
         } else {
             self.sampler.views()
         }
+    }
+
+    /// Whether the photo of this name has turned out not to be usable.
+    pub fn is_skipped(&self, name: &str) -> bool {
+        self.skipped.iter().any(|(skipped, _)| skipped == name)
     }
 
     /// Renders a view that had a step before.

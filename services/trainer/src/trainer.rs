@@ -98,13 +98,14 @@ impl Trainer {
         divided: bool,
     ) -> Result<Trainer, TrainError> {
         settings.check()?;
+        let requested = settings.blocks;
         let settings = settings.decided(scene);
         let poses = PosesByPoints::of(scene, &settings);
         let mut cache = photo_cache(scene, photos, &settings);
         let refined = with_poses(scene, &poses.refined);
         let coloured = coloured(&refined, &mut cache, &|| false)?;
         let trainer = Trainer::start(engine, &coloured, cache, settings, 0, &[])?.with_poses(scene, poses);
-        Ok(if divided { trainer.divided(scene, &coloured.points) } else { trainer })
+        Ok(if divided { trainer.divided(requested, scene, &coloured.points) } else { trainer })
     }
 
     /// The same, started from a scene with poses that its points refined.
@@ -294,7 +295,11 @@ impl Trainer {
     pub(crate) fn next_photo(&mut self) -> Result<(usize, Arc<Stored>), TrainError> {
         loop {
             let Some(view) = self.state.sampler.next(&mut self.state.random) else {
-                return Err(no_photos(&self.state.skipped));
+                // Without blocks, or without a photo in any of them.
+                if !self.leave_turn()? {
+                    return Err(no_photos(&self.state.skipped));
+                }
+                continue;
             };
             match self.photos.get(view) {
                 Ok(stored) => return Ok((view, stored)),

@@ -133,6 +133,11 @@ pub fn trained_share(scene: &Scene, blocks: usize) -> f64 {
     f64::from(largest).clamp(1.0 / blocks as f64, 1.0)
 }
 
+/// Whether a scene can be divided into `count` blocks, or into fewer, but more than one.
+pub(crate) fn is_divisible(scene: &Scene, count: usize) -> bool {
+    Division::boxes(scene, count).blocks.len() > 1
+}
+
 /// The two axes that lie closest to the ground plane: those that the cameras' upward direction is farthest from.
 fn ground_axes(scene: &Scene) -> [usize; 2] {
     let upward = scene.views.iter().map(|view| -view.pose.rotation.row(1));

@@ -98,6 +98,28 @@ impl BlockTurns {
         *started.unwrap_or(&self.turns[0])
     }
 
+    /// Steps in which each block takes a turn after the last step of the schedules.
+    pub fn round(&self) -> usize {
+        self.division.photos.iter().map(Vec::len).sum()
+    }
+
+    /// Number of blocks without a turn in the steps from `from` up to `until` that come after the last step of the
+    /// schedules; 0 where there is none.
+    pub fn unreached(&self, from: u32, until: u32) -> usize {
+        let further = from.max(self.steps)..until;
+        if further.is_empty() || further.len() >= self.round() {
+            return 0;
+        }
+        let mut reached = vec![false; self.division.blocks.len()];
+        for step in further {
+            if let BlockPart::Block(block) = self.turn_at(step).part {
+                reached[block] = true;
+            }
+        }
+        let left_out = reached.iter().zip(&self.division.photos);
+        left_out.filter(|(reached, photos)| !**reached && !photos.is_empty()).count()
+    }
+
     /// Whether a splat at a position is trained in a turn.
     pub fn trains(&self, turn: &BlockTurn, position: Vec3) -> bool {
         let blocks = &self.division.blocks;
