@@ -15,6 +15,7 @@
 //! RUN/timeline.json     who did what when; RUN/trace.json the same for Perfetto, RUN/trace.otlp.json for OpenTelemetry
 //! RUN/appearance_choice.json  the chosen appearance model; RUN/budget.json the chosen steps
 //! RUN/time.json         what a time bought, and what was measured of the machine
+//! RUN/blocks.json       in how many blocks the scene is trained, where the memory budget decides
 //! RUN/networks.json     the network files it was made with, and their hashes
 //! RUN/evaluation.json   held-out scores
 //! RUN/transients/PHOTO.png  the transient mask of a photo; the next run uses it as a person has changed it

@@ -1,6 +1,7 @@
 //! What a run keeps on disk: its folder, the content cache and its keys, checkpoints, timelines.
 
 pub(crate) mod auto_choice;
+pub(crate) mod blocks;
 pub(crate) mod cache;
 pub(crate) mod cameras;
 pub(crate) mod checkpoints;

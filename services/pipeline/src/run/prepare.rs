@@ -8,6 +8,7 @@ use super::poses::{self, OpenedScene};
 use super::time::fits_time;
 use super::until::Until;
 use crate::accelerator::leased;
+use crate::artifacts::blocks;
 use crate::artifacts::cameras;
 use crate::artifacts::digests::Digests;
 use crate::artifacts::folder::Intake;
@@ -118,17 +119,23 @@ pub fn prepare(
     );
 
     let steps_open = settings.steps_open(&scene);
-    let divided = memory::with_blocks(settings, &scene);
-    if divided.train.blocks > settings.train.blocks.max(1) {
-        let words = format!(
-            "the training does not fit in --memory-budget as a whole: the scene is trained in {} blocks",
-            divided.train.blocks
-        );
-        events.info(Some("geometry"), words);
-    }
+    let blocks_open = settings.train.blocks == 0 && scene.imported.is_none();
+    let recorded = blocks::of(folder);
+    let divided = memory::with_blocks(settings, &scene, recorded);
     let decided = divided.decided(&scene);
+    if decided.train.blocks < divided.train.blocks {
+        let words = "the scene is trained as a whole and not in --blocks: its cameras and points are too few, or lie \
+                     at one position";
+        events.warn(Some("geometry"), words);
+    }
     memory::fits_records(&decided, &scene)?;
     let mut settings = memory::within_budget(&decided, &scene)?;
+    if blocks_open {
+        if let Some(words) = memory::blocks_in_words(recorded, settings.train.blocks) {
+            events.info(Some("geometry"), words);
+        }
+        blocks::write(folder, settings.train.blocks)?;
+    }
     let providers = providers_of(folder, &settings, options)?;
     settings.allow_remote_calls(providers.remote_calls);
     intake.provider.clone_from(&providers.name);

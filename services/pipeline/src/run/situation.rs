@@ -7,6 +7,7 @@ use super::memory;
 use super::poses::scene_or_photos;
 use super::time::{ANY_ENGINE, time_before};
 use crate::artifacts::auto_choice::AutoChoice;
+use crate::artifacts::blocks;
 use crate::artifacts::described::ALL_DESCRIBED;
 use crate::artifacts::digests::photo_digest;
 use crate::artifacts::keys::{End, Keys, TrainingOrigin};
@@ -75,7 +76,8 @@ impl Situation {
         };
         let providers = Providers::from_settings(&settings.vision)?;
         let steps_open = settings.steps_open(&scene);
-        let settings = &memory::with_blocks(settings, &scene).decided(&scene);
+        let recorded = blocks::of(folder);
+        let settings = &memory::with_blocks(settings, &scene, recorded).decided(&scene);
         let engine = choose_engine(&settings.run, drop)?.engine;
         let corrections = Corrections::find(&scene, folder, &settings.scene.transient_masks)?;
         let corrected = corrections.in_words(&scene);
