@@ -322,11 +322,15 @@ impl Refiner for PhotoRefiner<'_> {
 impl Actor for SegmentActor {
     type Message = SegmentTask;
 
-    /// Prepares the first task, a little at a time: a task that comes meanwhile waits for one view at most.
+    /// Prepares the first task, a little at a time: a task that comes meanwhile waits for the affinities of the graph, or
+    /// for one view.
     fn on_idle(&mut self, context: &Context) -> Result<Idle, ActorFailure> {
-        let Some(view) = self.ahead.next() else { return Ok(Idle::Wait) };
         context.progress();
-        self.graph.compare(&self.splats, self.features.as_deref());
+        if self.graph.compare(&self.splats, self.features.as_deref()) {
+            self.count_bytes();
+            return Ok(Idle::Again);
+        }
+        let Some(view) = self.ahead.next() else { return Ok(Idle::Wait) };
         if let Err(reason) = self.find_shown(view) {
             // A task computes it again, and reports what fails.
             tracing::debug!(view, %reason, "what a view shows is not known before the first click");

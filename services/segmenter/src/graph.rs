@@ -72,6 +72,10 @@ impl SceneAffinities {
         known.get_or_init(|| computed)
     }
 
+    fn are_known(&self, with_features: bool) -> bool {
+        self.computed[usize::from(with_features)].get().is_some()
+    }
+
     /// Bytes that they take in memory.
     pub fn bytes(&self) -> usize {
         self.computed.iter().filter_map(OnceLock::get).map(|known| size_of_val(known.as_slice())).sum()
@@ -112,11 +116,13 @@ impl SceneGraph {
         self.graph.as_ref().map_or(0, NeighbourGraph::bytes) + self.affinities.bytes()
     }
 
-    /// Computes the affinities before a selection needs them.
-    pub(crate) fn compare(&self, splats: &Splats, field: Option<&SplatFeatures>) {
-        if let Some(graph) = &self.graph {
-            self.affinities.of(graph, splats, field);
-        }
+    /// Computes the affinities before a selection needs them. False where there was nothing to compute.
+    pub(crate) fn compare(&self, splats: &Splats, field: Option<&SplatFeatures>) -> bool {
+        let Some(graph) = self.graph.as_ref().filter(|_| !self.affinities.are_known(field.is_some())) else {
+            return false;
+        };
+        self.affinities.of(graph, splats, field);
+        true
     }
 }
 

@@ -4,6 +4,7 @@ mod common;
 
 mod baselines;
 mod carried;
+mod idle;
 mod knn;
 mod many_photos;
 mod masked_tree;
