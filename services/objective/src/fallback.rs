@@ -57,6 +57,10 @@ impl<F: Fn(&str) + Send + Sync> Rasterizer for FallbackEngine<F> {
         self.first.name()
     }
 
+    fn kept_bytes(&self) -> usize {
+        self.first.kept_bytes() + self.second.kept_bytes()
+    }
+
     fn project<'a>(
         &'a self,
         splats: &'a Splats,

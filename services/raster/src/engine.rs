@@ -127,6 +127,11 @@ pub trait Rasterizer: Send + Sync {
         false
     }
 
+    /// Bytes of memory on the host that it keeps from view to view. Those of views that are in use do not count.
+    fn kept_bytes(&self) -> usize {
+        0
+    }
+
     /// Projects, culls, bins and sorts the splats for one view.
     fn project<'a>(
         &'a self,

@@ -77,7 +77,7 @@ pub struct Session {
     /// Bytes that the segmenter keeps from click to click: its neighbour graph, affinities, and what each photo shows.
     pub(super) segmenter_bytes: Arc<AtomicUsize>,
     pub(super) engine: Arc<dyn Engine>,
-    /// Renders which splat is in front at each pixel; its buffers are used again from view to view.
+    /// Renders which splat is in front at each pixel; the buffers of one view are used again from view to view.
     pub(super) fronts: CpuEngine,
     pub(super) providers: Providers,
     /// Key of the training.
@@ -234,7 +234,7 @@ impl Session {
             feature_bytes,
             segmenter_bytes,
             engine,
-            fronts: CpuEngine::new(),
+            fronts: CpuEngine::new().keeping(1),
             providers,
             training,
             tree,

@@ -11,7 +11,7 @@ use crate::output::provenance::{scene_digest, without_paths};
 use crate::output::render::{HIGHLIGHT, over_white};
 use crate::{ExportProvenance, ObjectProvenance, PhotoPrompts, RunError, transients};
 use segwild_flow::Stopper;
-use segwild_raster::{Channels, FrontLayer};
+use segwild_raster::{Channels, FrontLayer, Rasterizer};
 use segwild_scene::{
     BoxPrompt, Camera, Export, Image, Mask, PointPrompt, Pose, Prompts, SceneError, SplatFormat, Splats,
 };
@@ -106,8 +106,8 @@ impl ShownScene {
 }
 
 impl Session {
-    /// About how many bytes the session takes in memory: splats, features, tree, photos, masks of skies and transients, and what
-    /// clicks have computed of the scene so far.
+    /// About how many bytes the session takes in memory: splats, features, tree, photos, masks of skies and transients, what
+    /// clicks have computed of the scene so far, and buffers that are kept from view to view.
     pub fn bytes(&self) -> usize {
         let splats = &self.model.splats;
         let of_splats = 4 * (11 * splats.len() + splats.sh.len() + self.model.splat_embeddings.len());
@@ -119,7 +119,13 @@ impl Session {
         let photos: usize = (0..self.scene.views.len()).map(|view| PIXEL_BYTES * pixels(view)).sum();
         let masks = 2 * (photos / (8 * PIXEL_BYTES)).min(MASK_BYTES);
         let of_clicks = self.segmenter_bytes.load(Ordering::Relaxed) + masks;
-        of_splats + self.feature_bytes + of_clicks + GROUP_BYTES * groups + photos.min(PHOTO_BYTES)
+        let of_engines = self.fronts.kept_bytes() + self.engine.kept_bytes();
+        of_splats
+            + self.feature_bytes
+            + of_clicks
+            + of_engines
+            + GROUP_BYTES * groups
+            + photos.min(PHOTO_BYTES)
     }
 
     /// Long side in pixels at which photos are worked with.

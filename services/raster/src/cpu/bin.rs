@@ -139,6 +139,16 @@ impl Bins {
         &self.entries[self.starts[tile] as usize..self.starts[tile + 1] as usize]
     }
 
+    /// Bytes of memory that it keeps.
+    pub fn bytes(&self) -> usize {
+        fn of<T>(values: &Vec<T>) -> usize {
+            size_of::<T>() * values.capacity()
+        }
+        let of_splats = of(&self.depths) + of(&self.radii) + of(&self.centres) + of(&self.footprints);
+        let of_tiles = of(&self.slots) + of(&self.starts) + of(&self.entries) + of(&self.cursors);
+        of_splats + of_tiles + of(&self.spans) + self.spans.iter().map(of).sum::<usize>()
+    }
+
     /// Number of (splat, tile) pairs.
     pub fn pairs(&self) -> usize {
         self.entries.len()

@@ -25,7 +25,7 @@ use kernels::{Backward, Blend, Gather, MOMENTS, SharedSlice, Spill, Task, sum_sl
 use project::Projector;
 use rayon::prelude::*;
 use segwild_scene::{Camera, Image, Pose, Splats};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use wide::{BLOCK, BlendWide, GatherWide, TileWeights, WIDE};
 
 /// Splats that one task sums or shades.
@@ -34,16 +34,34 @@ const CHUNK: usize = 512;
 const GATHERED: usize = 1 << 28;
 
 /// A pool of buffers, reused by later passes.
-#[derive(Default)]
-struct Pool<T>(Mutex<Vec<T>>);
+struct Pool<T> {
+    kept: Mutex<Vec<T>>,
+    /// Buffers that are kept while none is in use.
+    most: usize,
+}
 
 impl<T: Default> Pool<T> {
+    fn of(most: usize) -> Pool<T> {
+        Pool { kept: Mutex::default(), most }
+    }
+
+    fn kept(&self) -> MutexGuard<'_, Vec<T>> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn take(&self) -> T {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
+        self.kept().pop().unwrap_or_default()
     }
 
     fn give(&self, memory: T) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(memory);
+        let mut kept = self.kept();
+        if kept.len() < self.most {
+            kept.push(memory);
+        }
+    }
+
+    fn bytes(&self, of: impl Fn(&T) -> usize) -> usize {
+        self.kept().iter().map(of).sum()
     }
 }
 
@@ -70,7 +88,13 @@ impl CpuEngine {
     /// An engine on one instruction set; the plain one if the processor lacks it.
     pub fn with_isa(isa: Isa) -> CpuEngine {
         let isa = if isa.available() { isa } else { Isa::Plain };
-        CpuEngine { isa, bins: Pool::default(), slots: Pool::default() }
+        CpuEngine { isa, bins: Pool::of(usize::MAX), slots: Pool::of(usize::MAX) }
+    }
+
+    /// The same; it keeps the memory of at most so many views at a time, however many were in use at once.
+    #[must_use]
+    pub fn keeping(self, most: usize) -> CpuEngine {
+        CpuEngine { bins: Pool::of(most), slots: Pool::of(most), ..self }
     }
 
     /// The instruction set in use.
@@ -135,6 +159,10 @@ impl Rasterizer for CpuEngine {
 
     fn is_on_host(&self) -> bool {
         true
+    }
+
+    fn kept_bytes(&self) -> usize {
+        self.bins.bytes(Bins::bytes) + self.slots.bytes(|slots| size_of::<f32>() * slots.capacity())
     }
 
     fn project<'a>(

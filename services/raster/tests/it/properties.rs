@@ -72,6 +72,24 @@ fn every_instruction_set_gives_the_same_bytes() {
 }
 
 #[test]
+fn an_engine_counts_the_memory_that_it_keeps_and_keeps_no_more_views_than_it_may() {
+    let splats = splats(&mut RasterTestRandom(4), 500, (0.01, 0.1), 1);
+    let (camera, pose) = view(80, 60);
+    let kept = |engine: CpuEngine, at_once: usize| {
+        let project = |_| engine.project(&splats, &camera, &pose, &ProjectOptions::default()).unwrap();
+        let views: Vec<_> = (0..at_once).map(project).collect();
+        assert_eq!(engine.kept_bytes(), 0, "what is in use does not count");
+        drop(views);
+        engine.kept_bytes()
+    };
+    let one = kept(CpuEngine::new(), 1);
+    // Depth, radius and centre at the least.
+    assert!(one >= 16 * splats.len(), "{one}");
+    assert_eq!(kept(CpuEngine::new().keeping(1), 3), one);
+    assert_eq!(kept(CpuEngine::new(), 3), 3 * one);
+}
+
+#[test]
 fn memory_used_again_changes_nothing() {
     let engine = CpuEngine::new();
     let (camera, pose) = view(64, 48);
