@@ -157,7 +157,7 @@ impl Trainer {
             if self.state.backgrounds[view].is_none() {
                 continue;
             }
-            let stored = self.photos.get(view)?;
+            let Some(stored) = self.photos.usable(view)? else { continue };
             let (level, photo) = stored.level(level);
             let camera = self.camera(view, &stored, level);
             let pose = self.views[view].pose;

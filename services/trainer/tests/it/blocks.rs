@@ -5,10 +5,12 @@ use glam::{DVec3, Vec3};
 use segwild_raster::{Channels, CpuEngine, ProjectOptions, Rasterizer};
 use segwild_scene::{Camera, Photo, Point, Pose, Scene, SceneFrame, Seal, Splats, View};
 use segwild_trainer::{
-    AppearanceModel, Photos, Protocol, TrainPhoto, TrainSettings, Trainer, evaluate, trained_share,
+    AppearanceModel, DensityKind, Photos, Protocol, TrainPhoto, TrainSettings, Trainer, evaluate,
+    trained_share,
 };
 use std::convert::Infallible;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 const VIEWS: usize = 16;
 /// Views held out: in either room, and where they meet.
@@ -129,8 +131,13 @@ fn two_blocks_show_what_one_shows_and_the_seam_does_not_stand_out() {
 fn a_training_by_blocks_that_stops_anywhere_ends_in_the_same_bytes() {
     let scene = scene();
     let photos = photos(&scene);
-    for appearance_model in [AppearanceModel::None, AppearanceModel::Embed] {
-        let settings = TrainSettings { steps: 60, splats: 400, appearance_model, ..settings(3) };
+    for (appearance_model, density, robust) in [
+        (AppearanceModel::None, DensityKind::Budget, false),
+        (AppearanceModel::Embed, DensityKind::Budget, false),
+        (AppearanceModel::Affine, DensityKind::Mcmc, true),
+    ] {
+        let settings =
+            TrainSettings { steps: 60, splats: 400, appearance_model, density, robust, ..settings(3) };
         let run = |stops: &[u32]| {
             let mut trainer = Trainer::new(engine(), &scene, photos.clone(), settings.clone()).unwrap();
             for &stop in stops {
@@ -149,6 +156,69 @@ fn a_training_by_blocks_that_stops_anywhere_ends_in_the_same_bytes() {
         // The whole scene is trained up to step 15, the last block up to step 54.
         assert!(run(&[]) == run(&[1, 15, 16, 31, 54, 60, 67]), "{appearance_model}: stopping matters");
     }
+}
+
+#[test]
+fn photos_keep_appearance_background_and_pose_once_blocks_are_trained() {
+    let mut scene = scene();
+    let photos = photos(&scene);
+    // No point confirms the poses, and this one is off: it is aligned to the splats where photos share an appearance.
+    scene.views[6].pose.translation.x += 0.03;
+    for appearance_model in [AppearanceModel::None, AppearanceModel::Affine] {
+        let settings = TrainSettings { steps: 80, splats: 400, robust: true, appearance_model, ..settings(2) };
+        let mut trainer = Trainer::new(engine(), &scene, photos.clone(), settings).unwrap();
+        let mut model_at = |step: u32| {
+            while trainer.steps_done() < step {
+                trainer.step().unwrap();
+            }
+            trainer.snapshot().unwrap()
+        };
+        // The coarse training ends at step 20; the blocks, the seams and further turns of the blocks follow.
+        let coarse = model_at(20);
+        assert_eq!(coarse.backgrounds.iter().flatten().count(), VIEWS - HELD_OUT.len());
+        let end = model_at(100);
+        assert!(end.splats != coarse.splats, "{appearance_model}: the blocks are trained");
+        assert!(end.appearance == coarse.appearance, "{appearance_model}: an appearance changed");
+        assert!(end.backgrounds == coarse.backgrounds, "{appearance_model}: a background changed");
+        assert_eq!(end.refined_poses, coarse.refined_poses, "{appearance_model}");
+    }
+}
+
+#[test]
+fn a_block_whose_photos_are_gone_stays_as_it_is_and_the_training_goes_on() {
+    let scene = scene();
+    let (all, gone) = (photos(&scene), Arc::new(AtomicBool::new(false)));
+    let are_gone = gone.clone();
+    // The first two photos show nothing of the second block and of the seams.
+    let source = move |view: usize| match view >= 2 && are_gone.load(Ordering::Relaxed) {
+        true => Err("it is gone".into()),
+        false => all.photo(view),
+    };
+    let settings = TrainSettings { steps: 80, splats: 400, photo_cache_mib: 0, ..settings(2) };
+    let mut trainer = Trainer::new(engine(), &scene, Arc::new(source), settings).unwrap();
+    let mut model_at = |step: u32| {
+        while trainer.steps_done() < step {
+            trainer.step().unwrap();
+        }
+        trainer.snapshot().unwrap()
+    };
+    let coarse = model_at(20);
+    gone.store(true, Ordering::Relaxed);
+    let (first_block, second_block, end) = (model_at(55), model_at(70), model_at(80));
+    assert!(first_block.splats != coarse.splats && first_block.splats == second_block.splats);
+    assert_sane(&end, 400);
+    assert_eq!(end.trained_on, [0, 1], "photos that are gone are not counted");
+}
+
+#[test]
+fn a_scene_that_cannot_be_divided_has_one_block_and_its_steps() {
+    let mut one = scene();
+    let (pose, divided) = (one.views[0].pose, settings(4).decided(&one));
+    one.views.iter_mut().for_each(|view| view.pose = pose);
+    one.points.clear();
+    let (whole, undivided) = (settings(1).decided(&one), settings(4).decided(&one));
+    assert_eq!((undivided.blocks, undivided.steps), (1, whole.steps));
+    assert!(divided.blocks == 4 && divided.steps > whole.steps, "{} steps", divided.steps);
 }
 
 #[test]
