@@ -148,3 +148,27 @@ impl BlockTurns {
         all
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::division::{Aabb, SceneBlock};
+    use super::*;
+
+    #[test]
+    fn blocks_that_further_steps_do_not_come_to_are_counted() {
+        let everywhere = Aabb { min: Vec3::NEG_INFINITY, max: Vec3::INFINITY };
+        let block = SceneBlock { core: everywhere, border: everywhere };
+        let division = Division {
+            blocks: vec![block; 2],
+            photos: vec![vec![0, 1, 2], vec![2, 3]],
+            shares: vec![0.5; 2],
+            trained_shares: vec![0.5; 2],
+            seam_share: 0.1,
+        };
+        let turns = BlockTurns { division, points: vec![Vec::new(); 2], turns: Vec::new(), steps: 100 };
+        assert_eq!(turns.round(), 5);
+        let unreached = [(0, 100), (90, 101), (100, 103), (100, 104), (103, 105), (100, 105), (100, 107)]
+            .map(|(from, until)| turns.unreached(from, until));
+        assert_eq!(unreached, [0, 1, 1, 0, 1, 0, 0]);
+    }
+}
