@@ -188,7 +188,8 @@ fn photos_keep_appearance_background_and_pose_once_blocks_are_trained() {
     // No point confirms the poses, and this one is off: it is aligned to the splats where photos share an appearance.
     scene.views[6].pose.translation.x += 0.03;
     for appearance_model in [AppearanceModel::None, AppearanceModel::Affine] {
-        let settings = TrainSettings { steps: 80, splats: 400, robust: true, appearance_model, ..settings(2) };
+        let settings =
+            TrainSettings { steps: 80, splats: 400, robust: true, appearance_model, ..settings(2) };
         let mut trainer = Trainer::new(engine(), &scene, photos.clone(), settings).unwrap();
         let mut model_at = |step: u32| {
             while trainer.steps_done() < step {
