@@ -169,7 +169,10 @@ mod tests {
                 (block.level(at), block.mean_factor(at), block.late_factor(at), block.sh_degree(at)),
                 (whole.level(step), whole.mean_factor(step), whole.late_factor(step), whole.sh_degree(step))
             );
-            assert!(block.robust(at) && block.visible(at), "{step}: the coarse training has found the transients");
+            assert!(
+                block.robust(at) && block.visible(at),
+                "{step}: the coarse training has found the transients"
+            );
             assert_eq!(block.multi_view_pruning(at, 20), whole.multi_view_pruning(step, 20), "{step}");
             assert_eq!(block.pose_refinement(at), whole.pose_refinement(step), "{step}");
         }

@@ -11,6 +11,7 @@ use super::situation::{KeptResults, Situation};
 use super::stage::Stage;
 use super::stages::NODES;
 use super::time::{TimeMeasurement, fits_time};
+use crate::artifacts::blocks;
 use crate::artifacts::keys::{End, Keys};
 use crate::code;
 use crate::{RunError, RunFolder, Settings, Until, choose_engine};
@@ -117,7 +118,7 @@ pub fn explain_time(
         false => None,
     };
     let now = Situation::of(&path, folder, ledger.as_ref(), &settings, &End::Settings)?;
-    fits_time(&now.scene, &settings)?;
+    fits_time(&now.scene, &settings, blocks::of(folder))?;
     if let Some(decided) = &now.time {
         return Ok(Some(format!("{}; this was decided when the run started, and stays", decided.why)));
     }

@@ -94,7 +94,8 @@ pub fn prepare(
         .fit(&folder.path().join(authorship::FOLDER))?;
     folder.belongs_to(&path, &scene)?;
     fits_import(&scene, settings, options.until)?;
-    fits_time(&scene, settings)?;
+    let recorded = blocks::of(folder);
+    fits_time(&scene, settings, recorded)?;
     LpipsFile::needed(settings)?;
     // Written only now: a setting that the scene refuses must not come back with the next run.
     folder.write("segwild.toml", settings.to_toml().as_bytes())?;
@@ -120,7 +121,6 @@ pub fn prepare(
 
     let steps_open = settings.steps_open(&scene);
     let blocks_open = settings.train.blocks == 0 && scene.imported.is_none();
-    let recorded = blocks::of(folder);
     let divided = memory::with_blocks(settings, &scene, recorded);
     let decided = divided.decided(&scene);
     if decided.train.blocks < divided.train.blocks {

@@ -22,11 +22,12 @@ pub(crate) const ANY_ENGINE: &str = "any";
 /// Photos whose masks and descriptors are made to measure that, at most.
 const MEASURED: usize = 8;
 
-/// Refuses a time that has nothing to decide, or that something else decides.
+/// Refuses a time that has nothing to decide, or that something else decides. `recorded` is the number of blocks of the training
+/// in the run folder.
 ///
 /// # Errors
 /// In words.
-pub(crate) fn fits_time(scene: &Scene, settings: &Settings) -> Result<(), RunError> {
+pub(crate) fn fits_time(scene: &Scene, settings: &Settings, recorded: Option<usize>) -> Result<(), RunError> {
     let (time, train) = (settings.run.time, &settings.train);
     if time.is_none() {
         return Ok(());
@@ -49,7 +50,7 @@ pub(crate) fn fits_time(scene: &Scene, settings: &Settings) -> Result<(), RunErr
             train.effort
         ));
     }
-    let blocks = memory::with_blocks(settings, scene).train.blocks;
+    let blocks = memory::with_blocks(settings, scene, recorded).train.blocks;
     if blocks > 1 {
         return refused(format!(
             "--time {time} estimates a training of the whole scene at once, and this one has {blocks} blocks: give \
@@ -280,7 +281,7 @@ mod tests {
         let refused = |change: &dyn Fn(&mut Settings)| {
             let mut settings = with_time(600);
             change(&mut settings);
-            fits_time(&scene(), &settings).expect_err("refused").to_string()
+            fits_time(&scene(), &settings, None).expect_err("refused").to_string()
         };
         let both = refused(&|settings| (settings.train.steps, settings.train.splats) = (500, 9000));
         assert!(both.contains("--time 10m") && both.contains("--splats 9000 are both set"), "{both}");
@@ -289,7 +290,7 @@ mod tests {
         let blocks = refused(&|settings| settings.train.blocks = 3);
         assert!(blocks.contains("3 blocks") && blocks.contains("--steps"), "{blocks}");
         // One of the two is set, another preset with its own effort, or no time at all.
-        let fits = |settings: &Settings| fits_time(&scene(), settings).is_ok();
+        let fits = |settings: &Settings| fits_time(&scene(), settings, None).is_ok();
         let mut settings = with_time(600);
         settings.train = TrainSettings { steps: 500, ..settings.train };
         assert!(fits(&settings));

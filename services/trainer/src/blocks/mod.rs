@@ -10,6 +10,6 @@
 mod division;
 mod turns;
 
-pub(crate) use division::{Aabb, is_divisible};
 pub use division::trained_share;
+pub(crate) use division::{Aabb, is_divisible};
 pub(crate) use turns::{BlockPart, BlockTurn, BlockTurns, SEAMS};
