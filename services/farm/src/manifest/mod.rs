@@ -94,7 +94,8 @@ impl BatchManifest {
     }
 
     /// Reads a manifest for a farm, whose workers have budgets of their own. A scene without `cores` takes one, so that a worker
-    /// has as many scenes as cores, and one without `memory` as much as it makes use of.
+    /// has as many scenes as cores, and one without `memory` as much as it makes use of: 1 GiB where it cannot be opened yet, since
+    /// its photos have no poses or cannot be read.
     ///
     /// # Errors
     /// As [`BatchManifest::read`].
@@ -132,6 +133,8 @@ impl BatchManifest {
             return Err(wrong(ManifestFileError::Patience(patience_s)));
         }
         let share = (budget.cores / read.scene.len() as u32).max(1);
+        // On a farm there is no budget to have a share of.
+        let unopened = if bounded { u64::MAX } else { UNOPENED_BYTES };
         let base = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
         let base = base.parent().unwrap_or(Path::new("."));
         let folder = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
@@ -173,7 +176,7 @@ impl BatchManifest {
             let declared = declared.map(|size| size.bytes()).transpose().map_err(|e| wrong(e.into()))?;
             let needs = Needs {
                 cores,
-                memory_bytes: memory(&scene, &effective, declared, cores, &budget).map_err(wrong)?,
+                memory_bytes: memory(&scene, &effective, declared, cores, &budget, unopened).map_err(wrong)?,
                 accelerators: own.accelerators.or(d.accelerators).unwrap_or(0),
             };
             if bounded && !needs.fit(&budget) {
@@ -207,14 +210,19 @@ fn usable(name: &str) -> Result<(), &'static str> {
     }
 }
 
-/// The memory of a scene: what was declared, or its share of the budget, as far as it makes use of it. Refused when it
-/// could not run with that.
+/// Memory in bytes that a farm sets aside for a scene that cannot be opened when it is handed in. Every worker should have as much:
+/// a scene whose photos cannot be read ends at once, with the reason.
+const UNOPENED_BYTES: u64 = 1 << 30;
+
+/// The memory of a scene: what was declared, or its share of the budget, as far as it makes use of it. One that cannot be opened
+/// gets `unopened` bytes of its share at most. Refused when it could not run with that.
 fn memory(
     scene: &SceneJob,
     settings: &Settings,
     declared: Option<u64>,
     cores: u32,
     budget: &Needs,
+    unopened: u64,
 ) -> Result<u64, SceneEntryError> {
     let share = budget.memory_bytes / u64::from(budget.cores.max(1)) * u64::from(cores.min(budget.cores));
     let (whose, given) = match declared {
@@ -224,7 +232,7 @@ fn memory(
     let given_mib = u32::try_from(given >> 20).unwrap_or(u32::MAX);
     // Why a scene cannot be opened is for its own process to say: the others go on.
     let Ok(need) = MemoryNeed::within(given_mib, &scene.path, settings) else {
-        return Ok(declared.unwrap_or(share));
+        return Ok(declared.unwrap_or(share.min(unopened)));
     };
     let (least, most) = (u64::from(need.least_mib) << 20, u64::from(need.most_mib) << 20);
     if given < least {
@@ -266,6 +274,23 @@ mod tests {
         assert!(second.out.ends_with("elsewhere"));
         assert_eq!((other.needs.cores, other.needs.memory_bytes), (3, 1_000_000));
         assert_eq!(second.settings["preset"], "best");
+    }
+
+    #[test]
+    fn a_farm_runs_a_scene_that_cannot_be_opened_yet() {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::create_dir(dir.path().join("empty")).unwrap();
+        std::fs::create_dir(dir.path().join("text")).unwrap();
+        std::fs::write(dir.path().join("text/a.jpg"), "no photo").unwrap();
+        let file = dir.path().join("batch.toml");
+        let scenes = "[[scene]]\npath = \"empty\"\n[[scene]]\npath = \"text\"\n\
+                      [[scene]]\npath = \"text\"\nname = \"declared\"\nmemory = \"3 GiB\"\n";
+        for head in ["", "[budget]\ncores = 2\n"] {
+            std::fs::write(&file, format!("{head}{scenes}")).unwrap();
+            let manifest = BatchManifest::read_for_farm(&file, None).unwrap();
+            let bytes: Vec<u64> = manifest.jobs.iter().map(|(_, job)| job.needs.memory_bytes).collect();
+            assert_eq!(bytes, [UNOPENED_BYTES, UNOPENED_BYTES, 3 << 30], "{head}");
+        }
     }
 
     #[test]
