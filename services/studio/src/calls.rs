@@ -43,7 +43,7 @@ pub(crate) enum RefusalKind {
     Missing,
     /// It does not fit the present objects.
     Conflict,
-    /// The view of operators cannot be read.
+    /// The view of operators cannot be read, or a run cannot be opened.
     Unavailable,
     /// The answer could not be made.
     Broken,
@@ -97,6 +97,10 @@ fn session(runs: &Runs, run: &str) -> Answered<Arc<Studio>> {
     match runs.find(run) {
         Found::Open(studio) => Ok(studio),
         Found::Waiting(entry) => Err(Refusal::Waiting(entry)),
+        Found::Failed(why) => {
+            let why = format!("the run `{run}` cannot be opened: {why}");
+            Err(Refusal::Because(RefusalKind::Unavailable, why))
+        }
         Found::None => Err(Refusal::no_run()),
     }
 }

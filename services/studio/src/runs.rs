@@ -23,27 +23,40 @@ const MOST_RUNS: usize = 2000;
 /// Time between two checks whether a newer scene is there.
 const CHECKED: Duration = Duration::from_millis(500);
 
+/// Time after which a run that could not be opened is tried again: its files may have changed.
+const REOPENED: Duration = Duration::from_secs(2);
+
 /// How long the session of an earlier snapshot may take to answer its last requests.
 const FREED: Duration = Duration::from_secs(5);
 
 /// A session's way into memory.
 enum OpenState {
-    Opening,
+    /// It is being opened. A run that could not be opened before has the reason until it is open.
+    Opening(Option<String>),
     Open {
         studio: Arc<Studio>,
         used: Instant,
         /// When it was last checked whether a newer scene is there.
         checked: Instant,
     },
-    Failed(String),
+    /// It could not be opened, why, and when that was.
+    Failed(String, Instant),
+}
+
+impl OpenState {
+    fn failed(why: String) -> OpenState {
+        OpenState::Failed(why, Instant::now())
+    }
 }
 
 /// What a request finds.
 pub(crate) enum Found {
     /// The session is open.
     Open(Arc<Studio>),
-    /// It is not, or not yet.
+    /// It is not open yet.
     Waiting(RunEntry),
+    /// It cannot be opened, and why.
+    Failed(String),
     /// There is no such run.
     None,
 }
@@ -191,8 +204,10 @@ impl ServedRuns {
         let state = |state, reason| RunEntry { name: name.to_owned(), state, reason };
         match self.open().get(name) {
             Some(OpenState::Open { .. }) => return state("open", None),
-            Some(OpenState::Opening) => return state("opening", None),
-            Some(OpenState::Failed(why)) => return state("failed", Some(why.clone())),
+            Some(OpenState::Opening(None)) => return state("opening", None),
+            Some(OpenState::Opening(Some(why)) | OpenState::Failed(why, _)) => {
+                return state("failed", Some(why.clone()));
+            }
             None => {}
         }
         match self.folder(name) {
@@ -219,26 +234,28 @@ impl ServedRuns {
             studio.end_writes();
             open.remove(name);
         }
-        let reason = match open.get(name) {
-            Some(OpenState::Failed(why)) => Some(why.clone()),
-            _ => None,
-        };
-        if let Some(why) = reason {
+        let (reason, opens) = match open.get(name) {
             // A later request tries again: what was missing may be there by then.
+            Some(OpenState::Failed(why, at)) => (Some(why.clone()), at.elapsed() > REOPENED),
+            Some(OpenState::Opening(why)) => (why.clone(), false),
+            _ => (None, true),
+        };
+        if opens {
             open.remove(name);
-            return Found::Waiting(RunEntry { name: name.to_owned(), state: "failed", reason: Some(why) });
-        }
-        let source = if is_trained(&folder) { Some(None) } else { snapshot_of(&folder).map(Some) };
-        if let (None, Some(snapshot)) = (open.get(name), source) {
-            open.insert(name.to_owned(), OpenState::Opening);
+            let source = if is_trained(&folder) { Some(None) } else { snapshot_of(&folder).map(Some) };
+            let Some(snapshot) = source else {
+                drop(open);
+                return Found::Waiting(self.entry(name));
+            };
+            open.insert(name.to_owned(), OpenState::Opening(reason.clone()));
             let (runs, of) = (self.clone(), name.to_owned());
             let work = move || runs.open_session(&of, &folder, snapshot.as_ref());
             if let Err(e) = std::thread::Builder::new().name("studio open".into()).spawn(work) {
-                open.insert(name.to_owned(), OpenState::Failed(format!("no thread can be started: {e}")));
+                open.insert(name.to_owned(), OpenState::failed(format!("no thread can be started: {e}")));
             }
         }
         drop(open);
-        Found::Waiting(self.entry(name))
+        reason.map_or_else(|| Found::Waiting(self.entry(name)), Found::Failed)
     }
 
     fn open_session(&self, name: &str, folder: &Path, snapshot: Option<&TrainingSnapshot>) {
@@ -255,7 +272,7 @@ impl ServedRuns {
         }
         let state = match opened {
             Ok(studio) => OpenState::Open { studio, used: Instant::now(), checked: Instant::now() },
-            Err(error) => OpenState::Failed(error.to_string()),
+            Err(error) => OpenState::failed(error.to_string()),
         };
         let mut open = self.open();
         open.insert(name.to_owned(), state);

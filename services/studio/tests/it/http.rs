@@ -231,6 +231,31 @@ fn a_run_that_is_not_trained_yet_is_waited_for() {
 }
 
 #[test]
+fn a_run_that_cannot_be_opened_is_refused_until_its_files_are_whole() {
+    let (_dir, folder) = run();
+    let model = folder.path().join("model.bin");
+    let whole = std::fs::read(&model).unwrap();
+    std::fs::write(&model, &whole[..whole.len() / 2]).unwrap();
+    let server = serve(folder.path(), ServeOptions::default()).unwrap();
+    let name = folder.path().file_name().unwrap().to_str().unwrap().to_owned();
+    let ask = || get(&server, &format!("/api/v1/runs/{name}"));
+    let began = Instant::now();
+    while is(&ask(), 202) {
+        assert!(began.elapsed() < LONGEST, "it is never refused");
+        std::thread::park_timeout(Duration::from_millis(20));
+    }
+    // Also while it is tried again.
+    let refused = Instant::now();
+    while refused.elapsed() < Duration::from_millis(2500) {
+        let response = ask();
+        assert!(is(&response, 503) && response.contains(r#"{"error":"the run `"#), "{response}");
+        std::thread::park_timeout(Duration::from_millis(50));
+    }
+    std::fs::write(&model, whole).unwrap();
+    opened(&server, &name);
+}
+
+#[test]
 fn the_photos_of_a_run_that_is_about_to_start_are_shown() {
     let dir = tempfile::tempdir().unwrap();
     let photos = dir.path().join("photos");
