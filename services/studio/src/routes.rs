@@ -6,9 +6,10 @@ use crate::calls::{
 use crate::messages::{FrameRequest, HoverRequest, PickRequest, StateMessage, StudioAction};
 use crate::page;
 use crate::rates::{AdmittedClient, RequestCost};
-use axum::body::{Body, Bytes};
+use axum::body::{Body, Bytes, to_bytes};
 use axum::extract::{Path, Query, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::middleware::{Next, from_fn};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodFilter, MethodRouter, get, on};
@@ -18,6 +19,9 @@ use segwild_scene::SplatFormat;
 use serde::Deserialize;
 use std::convert::Infallible;
 use std::time::Duration;
+
+/// Bytes of the words that a refusal of the router has, at most.
+const MOST_WORDS: usize = 1 << 12;
 
 /// What the paths of the API start with.
 pub(crate) const ROOT: &str = "/api/v1";
@@ -142,7 +146,26 @@ pub(crate) fn routes(runs: Runs) -> Router {
     for route in API {
         router = router.route(&format!("{ROOT}{}", route.path), (route.handler)(route.method.filter()));
     }
-    router.fallback(async || StatusCode::NOT_FOUND).with_state(runs)
+    router.fallback(async || StatusCode::NOT_FOUND).layer(from_fn(in_words)).with_state(runs)
+}
+
+/// Gives a refusal that is the router's own a sentence in the form of all others: of an address that is not there, of a method, a
+/// query or a body that does not fit.
+async fn in_words(request: Request, next: Next) -> Response {
+    let response = next.run(request).await;
+    let code = response.status();
+    let is_json = response.headers().get(header::CONTENT_TYPE).is_some_and(|kind| kind == "application/json");
+    if is_json || !(code.is_client_error() || code.is_server_error()) {
+        return response;
+    }
+    let own = to_bytes(response.into_body(), MOST_WORDS).await.unwrap_or_default();
+    let why: String = match code {
+        StatusCode::NOT_FOUND => "there is nothing at this address".into(),
+        StatusCode::METHOD_NOT_ALLOWED => "this address takes no request of this method".into(),
+        _ if own.is_empty() => "the request cannot be answered".into(),
+        _ => String::from_utf8_lossy(&own).into_owned(),
+    };
+    (code, Json(serde_json::json!({ "error": why }))).into_response()
 }
 
 impl IntoResponse for Refusal {

@@ -141,6 +141,17 @@ fn requests_name_no_path_and_no_run_that_is_not_listed() {
         assert!(is(&response, 400) && response.contains("\"error\""), "{body}: {response}");
     }
     assert!(is(&post(&server, &act, &"x".repeat(2 << 20)), 413));
+    // Refusals by the router have the form of all others.
+    let size = format!("/api/v1/runs/{name}/photos/0?size=-1");
+    for (response, code, sentence) in [
+        (get(&server, &size), 400, "query string"),
+        (get(&server, "/api/v1/nothing"), 404, "nothing at this address"),
+        (get(&server, "/page/nothing.js"), 404, "nothing at this address"),
+        (post(&server, "/api/v1/runs", ""), 405, "of this method"),
+    ] {
+        assert!(is(&response, code) && response.contains(r#"{"error":""#), "{response}");
+        assert!(response.contains(sentence), "{response}");
+    }
     assert!(is(&post(&server, &act, "{\"do\":\"undo\"}"), 409));
 }
 
