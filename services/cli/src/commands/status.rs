@@ -7,7 +7,7 @@ use crate::operators::{listen, metrics_listen};
 use crate::output::{print_json, print_line};
 use crate::progress::{duration, on_ctrl_c};
 use clap::{Arg, ArgAction, ArgMatches, Command};
-use segwild_monitor::view::{BatchView, FarmWorkerView, RunView, Runs, SceneState, StageView};
+use segwild_monitor::view::{BatchView, FarmView, FarmWorkerView, RunView, Runs, SceneState, StageView};
 use segwild_monitor::words::{bytes, count};
 use segwild_monitor::{MonitorTarget, MonitorView};
 use std::sync::mpsc;
@@ -149,7 +149,11 @@ fn worker_words(worker: &FarmWorkerView) -> String {
 }
 
 fn tell_batch(batch: &BatchView) -> Result<(), Failure> {
+    let is_empty = |farm: &FarmView| farm.workers.is_empty() && batch.scenes.is_empty();
     match &batch.owner {
+        _ if batch.farm.as_ref().is_some_and(is_empty) => {
+            print_line("this farm has no scenes and no workers")?;
+        }
         Some(owner) => print_line(&format!("run by {owner}"))?,
         None => print_line("no process is running this batch")?,
     }

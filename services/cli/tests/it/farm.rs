@@ -161,6 +161,7 @@ fn what_is_wrong_with_a_farm_is_named_in_words() {
     let file = show(&manifest(path, &["a"]));
     refuses(&["worker"], 2, &["--farm"]);
     refuses(&["worker", "--farm", "http://x/y"], 2, &["no farm", "nats://HOST:PORT/NAME"]);
+    refuses(&["status", "--farm", "nats://x:4222"], 2, &["no farm", "nats://HOST:PORT/NAME"]);
     for command in ["worker", "serve"] {
         let output = segwild(&[command, "--farm", "nats://me:hunter2@x/y"]);
         let error = text(&output.stderr);
@@ -171,6 +172,8 @@ fn what_is_wrong_with_a_farm_is_named_in_words() {
     refuses(&["batch", &file, "--artefacts", "/tmp/x"], 2, &["--farm"]);
     let Some(server) = NatsServer::start(path) else { return };
     let farm = server.farm("f");
+    let empty = text(&segwild(&["status", "--farm", &farm]).stdout);
+    assert!(empty.contains("no scenes and no workers") && !empty.contains("run by"), "{empty}");
     let (out, missing) = (show(&path.join("o")), show(&path.join("none")));
     refuses(
         &["batch", &file, "--farm", &farm, "--out", &out, "--farm-key", &missing],

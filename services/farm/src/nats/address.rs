@@ -6,8 +6,6 @@ use std::str::FromStr;
 
 use super::record::FarmKey;
 
-/// The farm that an address without a name means.
-const USUAL_NAME: &str = "farm";
 /// The longest name of a farm: it becomes part of names that the server bounds.
 const LONGEST_NAME: usize = 64;
 
@@ -80,8 +78,7 @@ impl FromStr for FarmAddress {
             "tls" => true,
             _ => return Err(scheme()),
         };
-        let (hosts, name) =
-            rest.trim_end_matches('/').split_once('/').unwrap_or((rest.trim_end_matches('/'), USUAL_NAME));
+        let (hosts, name) = rest.trim_end_matches('/').split_once('/').ok_or_else(scheme)?;
         let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
         if name.is_empty() || name.len() > LONGEST_NAME || !name.chars().all(plain) {
             return Err(FarmAddressError::Name(name.to_owned()));
@@ -142,11 +139,12 @@ mod tests {
         let read = |text: &str| text.parse::<FarmAddress>();
         let cluster = read("tls://a:1,b.lan,[::1]:7/x_1/").unwrap();
         assert_eq!(cluster.to_string(), "tls://a:1,b.lan:4222,[::1]:7/x_1");
-        assert_eq!(read("nats://a").unwrap().name(), "farm");
         assert_eq!(read(&cluster.to_string()), Ok(cluster));
         for (text, expected) in [
             ("a:4222/x", "no farm"),
             ("http://a/x", "no farm"),
+            ("nats://a:4222", "`nats://a:4222` is no farm: an address is nats://HOST:PORT/NAME"),
+            ("nats://a/", "no farm"),
             ("nats://me:secret@a/x", "credentials file"),
             ("nats://a:x/y", "`a:x`"),
             ("nats:///y", "no host"),
