@@ -121,13 +121,18 @@ pub(crate) async fn save(runs: &Runs, run: &str, object: ObjectId) -> Answered<S
     Ok(written.await.map_err(|_| Refusal::broken())??)
 }
 
-/// The view of operators, as `segwild status --json` prints it: of the folder, or of the farm where there is no folder.
-pub(crate) async fn status(runs: Runs) -> Answered<MonitorView> {
-    let Some(root) = runs.root().map(Path::to_owned) else {
+/// The view of operators, as `segwild status --json` prints it: of a run, or of the folder, or of the farm where there is no
+/// folder.
+pub(crate) async fn status(runs: Runs, run: Option<String>) -> Answered<MonitorView> {
+    let folder = match run {
+        Some(run) => Some(runs.folder(&run).ok_or_else(Refusal::no_run)?),
+        None => runs.root().map(Path::to_owned),
+    };
+    let Some(folder) = folder else {
         let farm = farm(&runs).await?.ok_or_else(no_farm)?;
         return Ok(MonitorView::Batch(Box::new(farm.view.clone())));
     };
-    let view = move || MonitorTarget::at(&root).and_then(|target| target.view());
+    let view = move || MonitorTarget::at(&folder).and_then(|target| target.view());
     apart(move || view().map_err(|e| Refusal::Because(RefusalKind::Unavailable, e.to_string()))).await
 }
 

@@ -79,7 +79,7 @@ use ApiMethod::{Get, Post};
 #[rustfmt::skip]
 pub(crate) const API: &[ApiRoute] = &[
     row(Get, "/runs", &[], "List", Field("runs"), |m| on(m, list)),
-    row(Get, "/status", &[], "Status", Message, |m| on(m, status)),
+    row(Get, "/status", &["run"], "Status", Message, |m| on(m, status)),
     row(Post, "/scenes/{scene}/retry", &[], "Retry", Message, |m| on(m, retry)),
     row(Get, "/farm", &[], "Farm", Field("farm"), |m| on(m, farm)),
     row(Post, "/farm/scenes/{scene}/retry", &[], "RetryOnFarm", Message, |m| on(m, retry_on_farm)),
@@ -196,8 +196,14 @@ async fn list(State(runs): State<Runs>) -> Response {
     Json(runs.list()).into_response()
 }
 
-async fn status(State(runs): State<Runs>) -> Answered<Response> {
-    Ok(Json(calls::status(runs).await?).into_response())
+/// Whose progress is requested.
+#[derive(Deserialize)]
+struct StatusOf {
+    run: Option<String>,
+}
+
+async fn status(State(runs): State<Runs>, Query(StatusOf { run }): Query<StatusOf>) -> Answered<Response> {
+    Ok(Json(calls::status(runs, run).await?).into_response())
 }
 
 async fn retry(State(runs): State<Runs>, Path(scene): Path<String>) -> Answered<Response> {

@@ -135,7 +135,7 @@ impl ServedRuns {
     }
 
     /// The folder of a run. Only plain names of folders that hold one have it: a request names no path.
-    fn folder(&self, name: &str) -> Option<PathBuf> {
+    pub fn folder(&self, name: &str) -> Option<PathBuf> {
         let root = self.root.as_ref()?;
         if self.single {
             return (name == name_of(root)).then(|| root.clone());

@@ -127,8 +127,8 @@ impl Session for SessionService {
         reply(v1::ListResponse { runs })
     }
 
-    async fn status(&self, _: Request<v1::StatusRequest>) -> Reply<v1::MonitorView> {
-        reply(status::view(calls::status(self.runs.clone()).await?))
+    async fn status(&self, request: Request<v1::StatusRequest>) -> Reply<v1::MonitorView> {
+        reply(status::view(calls::status(self.runs.clone(), request.into_inner().run).await?))
     }
 
     async fn retry(&self, request: Request<v1::RetryRequest>) -> Reply<v1::RetryResponse> {

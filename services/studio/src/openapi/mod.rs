@@ -131,7 +131,7 @@ impl Schemas<'_> {
             "default": {
                 "description": "A refusal. 400: the request makes no sense; 401 and 403: the client has no access; 404: there is \
                                 no such thing; 409: the request does not fit the present objects; 429: too many requests, and \
-                                `Retry-After` has the seconds to wait.",
+                                `Retry-After` has the seconds to wait; 503: it cannot be opened or read now.",
                 "content": { "application/json": { "schema": reference("Refusal") } },
             },
         });

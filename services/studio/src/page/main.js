@@ -155,7 +155,7 @@ export class App {
   async followTraining() {
     const { run, description } = this;
     if (description.snapshot === null) return this.side.training("", []);
-    const training = await run.training().catch(() => null), view = await getJson("/api/v1/status").catch(() => null);
+    const training = await run.training().catch(() => null), view = await getJson(`/api/v1/status?run=${encodeURIComponent(run.name)}`).catch(() => null);
     const stages = view?.stages ?? [], busy = stages.filter((/** @type {any} */ s) => s.state === "running");
     const words = busy.map((/** @type {any} */ s) => `${s.name} ${s.done}/${s.total}`).join(", ");
     if (run !== this.run) return;

@@ -39,10 +39,13 @@ export class StatusPane {
     clearTimeout(this.timer);
     const round = ++this.round;
     const read = async (/** @type {string} */ name) => {
-      const seen = await getJson(`/api/v1/${name}`).catch(error => {
+      const get = (/** @type {string} */ path) => getJson(`/api/v1/${path}`).catch(error => {
         if (error instanceof Refused) return { kind: "", error: error.message };
         throw error;
       });
+      let seen = await get(name);
+      // A folder of runs has no progress of its own.
+      if (name === "status" && seen.kind === "" && this.app.run.name) seen = await get(`status?run=${encodeURIComponent(this.app.run.name)}`);
       if (round !== this.round || this.app.view !== "status") return;
       this.seen[name] = seen;
       if (name === "status") this.alone = !!seen.farm;

@@ -173,7 +173,7 @@ fn a_program_clicks_keeps_and_exports_by_grpc() {
         assert!(state.objects.is_empty() && state.redo.as_deref() == Some("keep object"));
         let back = act(&mut client, &name, Do::Redo(act_request::Step {})).await.unwrap();
         let Some(v1::monitor_view::Kind::Run(view)) =
-            client.status(v1::StatusRequest {}).await.unwrap().into_inner().kind
+            client.status(v1::StatusRequest { run: None }).await.unwrap().into_inner().kind
         else {
             panic!("it is a run")
         };

@@ -205,6 +205,13 @@ fn a_folder_of_runs_lists_them_and_closes_the_one_that_was_used_longest_ago() {
         get(&server, "/api/v1/runs")
             .contains(r#"[{"name":"a","state":"trained"},{"name":"b","state":"trained"}]"#)
     );
+    // The folder has no progress of its own; each run has.
+    assert!(is(&get(&server, "/api/v1/status"), 503));
+    let progress = get(&server, "/api/v1/status?run=b");
+    assert!(is(&progress, 200) && progress.contains(r#""name":"b""#), "{progress}");
+    for run in ["no-run", "..", "a%2F..%2Fb"] {
+        assert!(is(&get(&server, &format!("/api/v1/status?run={run}")), 404), "{run}");
+    }
     opened(&server, "a");
     opened(&server, "b");
     let list = get(&server, "/api/v1/runs");
