@@ -83,7 +83,7 @@ export class Cursor {
     this.rested = false;
     if (!this.at) return;
     const where = text("cursor_at", ...this.percent()), share = this.pane.candidate();
-    this.app.say(share === null ? where : `${where} ${text("cursor_candidate", (100 * share).toPrecision(2))}`);
+    this.app.say(share === null ? where : `${where} ${text("cursor_candidate", (100 * share).toFixed(1))}`);
   }
 
   percent() {

@@ -578,13 +578,19 @@ export class App {
 
   showKeys() {
     const dialog = /** @type {HTMLDialogElement} */ (of("sheet-of-keys"));
-    const rows = shortcuts.map(s => element("tr", {},
+    const row = (/** @type {typeof shortcuts[number]} */ s) => element("tr", {},
       element("td", {}, ...s.keys.flatMap((key, k) => [k ? " " : "", element("kbd", {}, s.mouse ? key : shown(key))])),
-      element("td", {}, s.does)));
+      element("td", {}, s.does));
+    const parts = ["all", "both", "stage", "space", "mouse"].flatMap(pane => {
+      const rows = shortcuts.filter(s => (s.mouse ? "mouse" : s.where ?? "all") === pane).map(row);
+      return [element("h3", {}, text(`keys_${pane}`)), element("table", {}, element("tbody", {}, ...rows))];
+    });
     const close = element("button", { type: "button", className: "main", click: () => dialog.close() }, text("close"));
     dialog.setAttribute("aria-label", text("keys"));
-    dialog.replaceChildren(element("h2", {}, text("keys")), element("table", {}, element("tbody", {}, ...rows)), close);
+    // What has the focus first is in sight: the button stands above the keys.
+    dialog.replaceChildren(element("h2", {}, text("keys")), close, ...parts);
     dialog.showModal();
+    dialog.scrollTop = 0;
   }
 
   /** Shows how far the run or the batch is, as operators see it. */

@@ -114,7 +114,7 @@ export class Side {
     parts.push(element("label", { className: "row" }, element("span", { className: "quiet" }, text("level")), level, named));
     if (answer.alternatives.length > 1) {
       const chips = answer.alternatives.map((alternative, k) => {
-        const share = typeof alternative === "object" ? text("alternative_group", (100 * alternative.group).toPrecision(2)) : text("alternative_photo");
+        const share = typeof alternative === "object" ? text("alternative_group", (100 * alternative.group).toFixed(1)) : text("alternative_photo");
         const shown = k < answer.scores.length ? text("alternative_score", share, answer.scores[k].toFixed(2)) : share;
         return button(shown, shown, () => app.alternative(k), { "aria-pressed": k === draft.alternative });
       });
@@ -205,7 +205,9 @@ export class Side {
       file("masks.zip", text("short_masks"), text("export_masks", item.name));
       file("coco.json", text("short_coco"), text("export_coco", item.name));
     }
-    if (selected && item.prompted && !item.edited) file("prompts", text("short_prompts"), text("save_prompts", item.name));
+    const made = item.edited || !item.prompted, refused = { disabled: true, title: text("made_by_tool") };
+    if (selected && made) tools.append(button(text("short_prompts"), text("save_prompts", item.name), () => {}, refused));
+    else if (selected) file("prompts", text("short_prompts"), text("save_prompts", item.name));
     if (selected) {
       const pair = (/** @type {string} */ how) => {
         const others = (state?.objects ?? []).filter(o => o.id !== item.id);
@@ -222,11 +224,12 @@ export class Side {
         small("copy", () => act("duplicate"), { label: "duplicate" }),
         small("grow", () => act("grow", { steps: 1 })),
         small("shrink", () => act("grow", { steps: -1 })),
-        ...(item.prompted && !item.edited && !saving ? [small("save", () => this.save(item))] : []),
+        ...(saving ? [] : [small("save", () => this.save(item), made ? refused : {})]),
         ...((state?.objects.length ?? 0) > 1 ? [pair("union"), pair("subtract")] : []),
         small("delete", () => act("delete"), { label: "remove" }));
     }
     const parts = [head, tools];
+    if (selected && made) parts.push(element("p", { className: "quiet" }, text("made_by_tool")));
     if (saving) {
       const bar = element("progress", { value: saving.done, max: saving.photos, "aria-label": text("saving", item.name) });
       bar.dataset.object = String(item.id);

@@ -82,7 +82,7 @@ export class StatusPane {
     const parts = [element("h2", {}, `${run.name}: ${facts.filter(Boolean).join(", ")}`), table(["status_stage", "status_state", "status_done", "status_rate", "status_time", "status_waits"], stages)];
     if (run.running && workers.length) parts.push(table(["status_actor", "status_busy", "status_messages", "status_retries", "status_given_up", "status_waits"], workers));
     if (run.running && boxes.length) parts.push(table(["status_mailbox", "status_messages", "status_bytes"], boxes));
-    if (lines.length) parts.push(element("ul", {}, ...lines.map(line => element("li", {}, line))));
+    if (lines.length) parts.push(element("ul", {}, ...[...new Set(lines)].map(line => element("li", {}, line))));
     return parts;
   }
 

@@ -123,6 +123,15 @@ test("from an empty page to an exported object, with a kill of the server in the
   const [packed] = await Promise.all([page.waitForEvent("download"), page.locator("a[download]").filter({ hasText: ".glb" }).click()]);
   assert.equal(packed.suggestedFilename(), "the_statue.glb");
   assert.equal(readFileSync(await packed.path()).subarray(0, 4).toString("latin1"), "glTF");
+  // What a tool changed is neither written nor saved as prompts, and the page says so.
+  const refused = page.locator("#objects li.selected button:disabled[title^='A tool made']");
+  assert.equal(await refused.count(), 0);
+  await page.evaluate(() => {
+    const app = /** @type {any} */ (window).segwild;
+    return app.act({ do: "grow", id: app.item, steps: 1 });
+  });
+  await until(page, () => /** @type {any} */ (window).segwild.state.objects[0].edited);
+  assert.equal(await refused.count(), 2);
   await clear(page);
 });
 
@@ -632,6 +641,8 @@ test("every key of the table does something or explains itself", async t => {
   const rows = await page.locator("#sheet-of-keys tr").count();
   const table = await page.evaluate(async () => (await import("/page/shortcuts.js")).shortcuts);
   assert.equal(rows, table.length);
+  assert.equal(await page.locator("#sheet-of-keys h3").count(), 5);
+  assert.equal(await page.evaluate(() => document.getElementById("sheet-of-keys")?.scrollTop), 0);
   await page.locator("#sheet-of-keys button").click();
   // No key stands for two actions at one focus, and none is without an action.
   const seen = new Set();
