@@ -4,6 +4,7 @@ use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use segwild_flow::{Event, EventLevel, EventRecord, Events, Sink, Stopper};
 use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use crate::failure::plain;
@@ -82,6 +83,14 @@ pub fn show(events: &Events, json: bool) -> std::io::Result<Sink> {
     })
 }
 
+/// Whether the run of this process is over, so that a stop leaves nothing to continue.
+static RUN_IS_OVER: AtomicBool = AtomicBool::new(false);
+
+/// Notes that the run is over, while its page stays.
+pub fn run_is_over() {
+    RUN_IS_OVER.store(true, Ordering::Relaxed);
+}
+
 /// How long a stop may take, the half minute that actors have included.
 const LATEST: Duration = Duration::from_secs(45);
 
@@ -93,7 +102,11 @@ pub fn stop_on_ctrl_c(stopper: &Stopper) -> std::io::Result<()> {
         if press > 1 {
             std::process::exit(crate::exit::INTERRUPTED.into());
         }
-        print_note("stopping where the run can continue; once more to stop at once");
+        if RUN_IS_OVER.load(Ordering::Relaxed) {
+            print_note("closing the page");
+        } else {
+            print_note("stopping where the run can continue; once more to stop at once");
+        }
         stopper.stop();
         // Actors that do not come to an end are left behind after half a minute; who conducts them may hang as well.
         let late = || {

@@ -5,7 +5,7 @@ use crate::exit;
 use crate::failure::Failure;
 use crate::farm::{connect, engine_args, farm_to_reach, shown_farm};
 use crate::output::print_line;
-use crate::progress::on_ctrl_c;
+use crate::progress::{on_ctrl_c, run_is_over};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_flow::{Phase, Stopper};
 use segwild_monitor::ServeError;
@@ -145,6 +145,7 @@ fn own_program() -> Option<PathBuf> {
 /// Keeps a page until Ctrl-C.
 pub fn stay(server: Option<StudioServer>, stopper: &Stopper) {
     let Some(server) = server else { return };
+    run_is_over();
     eprintln!("the page stays until Ctrl-C: {}", server.address());
     while stopper.phase() == Phase::Running {
         std::thread::park_timeout(Duration::from_millis(200));

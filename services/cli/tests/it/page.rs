@@ -104,6 +104,20 @@ fn the_address_is_printed_with_its_token_and_an_end_by_ctrl_c_is_no_failure() {
     assert_eq!(child.wait().expect("it ends").code(), Some(0));
 }
 
+#[cfg(unix)]
+#[test]
+fn a_stop_after_the_run_closes_its_page_and_speaks_of_no_continuation() {
+    let dir = folder();
+    let mut child = start(&again(&copied_run(&dir), &["--serve"]));
+    let mut lines = BufReader::new(child.stderr.take().expect("a pipe")).lines().map_while(Result::ok);
+    assert!(lines.any(|line| line.contains("the page stays until Ctrl-C")), "it ended");
+    signal(&child, "-INT");
+    let rest: Vec<String> = lines.collect();
+    assert_eq!(child.wait().expect("it ends").code(), Some(0), "{rest:?}");
+    let has = |words: &str| rest.iter().any(|line| line.contains(words));
+    assert!(has("closing the page") && !has("can continue"), "{rest:?}");
+}
+
 #[test]
 fn other_machines_are_let_in_only_with_a_token_file_or_a_flag_that_says_so() {
     let dir = folder();
