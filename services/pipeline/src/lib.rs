@@ -69,7 +69,9 @@ pub use output::evaluate::{
 pub use output::light::{AppearanceRequest, BlendedAppearance, OWN};
 pub use output::objects::{ExportedObjects, ListedObjects, ObjectList, SceneObject, SeenOnceShare};
 pub use output::provenance::{ExportProvenance, ObjectProvenance};
-pub use output::render::{FRAMES_AROUND, Mode, RenderContent, RenderRequest, RenderedFile, UNSEEN, render};
+pub use output::render::{
+    FRAMES_AROUND, MOST_FRAMES, Mode, RenderContent, RenderRequest, RenderedFile, UNSEEN, render,
+};
 pub use output::report::write_report;
 pub use output::splat_files::{ConvertedFormat, ExportFormat, SplatTransform};
 pub use output::text_query::{TextMatch, TextRanking};

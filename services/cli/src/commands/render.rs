@@ -7,7 +7,8 @@ use crate::progress::stop_on_ctrl_c;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_flow::Stopper;
 use segwild_pipeline::{
-    AppearanceRequest, CameraPath, FRAMES_PER_SECOND, Mode, RenderContent, RenderRequest, RunFolder,
+    AppearanceRequest, CameraPath, FRAMES_PER_SECOND, MOST_FRAMES, Mode, RenderContent, RenderRequest,
+    RunFolder,
 };
 use segwild_scene::settings::Value;
 
@@ -23,8 +24,8 @@ pub fn command() -> Command {
         Arg::new("frames")
             .long("frames")
             .value_name("N")
-            .value_parser(value_parser!(u32).range(2..))
-            .help("Frames of the path [default: 120 around a selection]"),
+            .value_parser(value_parser!(u32).range(2..=i64::from(MOST_FRAMES)))
+            .help("Frames of the path, 100000 at most [default: 120 around a selection]"),
         Arg::new("fps")
             .long("fps")
             .value_name("N")

@@ -51,7 +51,7 @@ pub struct RenderRequest {
     pub photos: Vec<String>,
     /// The way of the camera.
     pub path: CameraPath,
-    /// Number of renders along the path. `None`: one per photo; [`FRAMES_AROUND`] around an object.
+    /// Number of renders along the path, from 2 to [`MOST_FRAMES`]. `None`: one per photo; [`FRAMES_AROUND`] around an object.
     pub frames: Option<u32>,
     /// Frames in a second of a video.
     pub rate: u32,
@@ -108,6 +108,9 @@ pub const UNSEEN: &str = "unseen";
 
 /// Frames of a path around an object, unless a request says otherwise.
 pub const FRAMES_AROUND: u32 = 120;
+
+/// Most frames of a path: nearly an hour at 30 frames a second. The cameras of all take about 20 MB.
+pub const MOST_FRAMES: u32 = 100_000;
 
 /// Writes the requested renders.
 ///
@@ -210,6 +213,9 @@ impl RenderRequest {
     /// Refuses what does not fit together.
     fn check(&self) -> Result<(), RunError> {
         let refuse = |text: &str| Err(RunError::Request(text.into()));
+        if let Some(frames) = self.frames.filter(|frames| !(2..=MOST_FRAMES).contains(frames)) {
+            return refuse(&format!("a path has 2 to {MOST_FRAMES} frames, and {frames} are requested"));
+        }
         let around = self.path != CameraPath::Photos;
         if around && self.selection.is_none() {
             return refuse("a path around an object needs --selection NAME");
