@@ -152,6 +152,7 @@ fn segment_code(error: &SegmentError) -> u8 {
         SegmentError::Provider { .. } => exit::INPUT,
         SegmentError::Shape(_) | SegmentError::Raster { .. } => exit::FAILED,
         SegmentError::NoPrompt
+        | SegmentError::NoAlternative { .. }
         | SegmentError::NoView { .. }
         | SegmentError::OutsideFrame { .. }
         | SegmentError::Setting { .. } => exit::USAGE,

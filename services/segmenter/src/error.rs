@@ -40,6 +40,14 @@ pub enum SegmentError {
         /// Why.
         reason: String,
     },
+    /// The setting `alternative` is beyond what the prompts may select.
+    #[error("there is no alternative {requested}: {offers}", offers = offered_in_words(*offered))]
+    NoAlternative {
+        /// The setting.
+        requested: u32,
+        /// How many there are.
+        offered: usize,
+    },
     /// A prompt names a view that does not exist.
     #[error("a prompt names view {view}, but the scene has {views} views")]
     NoView {
@@ -108,6 +116,17 @@ pub enum SegmentError {
         /// The test at which the last one was removed.
         reason: &'static str,
     },
+}
+
+/// The numbers that the setting `alternative` may have.
+fn offered_in_words(offered: usize) -> String {
+    match offered {
+        0 | 1 => "there is one, 0".to_owned(),
+        more => {
+            let numbers: Vec<String> = (0..more).map(|number| number.to_string()).collect();
+            format!("there are {more}: {}", numbers.join(", "))
+        }
+    }
 }
 
 impl SegmentError {

@@ -269,6 +269,10 @@ fn a_click_starts_from_the_runs_scene_tree_and_names_what_else_it_may_mean() {
         })
         .collect();
     assert_eq!(splats[0], first["splats"].as_u64().expect("a count"));
+    let run_text = show(&run);
+    let beyond = ["segment", &run_text, "--photo", &click.photo, "--positive", &at, "--alternative", "7"];
+    let offered = format!("there are {}: 0, 1", alternatives.len());
+    refuses(&beyond, 2, &["no alternative 7", &offered]);
     let by_photo = select(&["--first-answer", "photo"]);
     assert_eq!(by_photo["alternatives"], serde_json::json!([]));
     let photo = alternatives.iter().position(|m| m == "photo").expect("it is there");
