@@ -462,10 +462,21 @@ impl RunFolder {
     fn scene_with(&self, settings: &Settings, intake: &Intake) -> Result<Scene, RunError> {
         // The model has imported splats already: their file may be gone.
         let settings = SceneSettings { imported_splats: String::new(), ..settings.scene.clone() };
-        Ok(match intake.posed {
-            true => self.open_posed(&intake.scene, &settings)?,
-            false => Scene::open(&intake.scene, &settings)?,
-        })
+        let opened = match intake.posed {
+            true => self.open_posed(&intake.scene, &settings),
+            false => Scene::open(&intake.scene, &settings).map_err(RunError::from),
+        };
+        match std::fs::metadata(&intake.scene) {
+            Err(gone) if gone.kind() == ErrorKind::NotFound => opened.map_err(|_| {
+                RunError::Input(format!(
+                    "{}: the photos of this run are not there: put them back, or run `segwild run NEWPATH --out {}` if they \
+                     have moved",
+                    intake.scene.display(),
+                    self.path.display()
+                ))
+            }),
+            _ => opened,
+        }
     }
 
     /// The run's scene as a model was trained, if it is that of the model.
