@@ -39,7 +39,7 @@ pub struct StagePlan {
 /// Returns what [`crate::run()`] would do with these settings, without doing it. Works while another process runs.
 ///
 /// # Errors
-/// When the scene, the settings or the run folder cannot be used.
+/// When the scene, the settings or the run folder cannot be used, or the folder is the run of another scene.
 pub fn explain(
     path: &Path,
     folder: &RunFolder,
@@ -65,6 +65,7 @@ pub fn explain(
         }
     }
     let now = Situation::of(&path, folder, ledger.as_ref(), &settings, &Until::end(until))?;
+    folder.belongs_to(&path, &now.scene)?;
     let before = match &ledger {
         Some(ledger) => Some(Before::read(ledger, &path, folder, &settings)?),
         None => None,
