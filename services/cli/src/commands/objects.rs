@@ -3,7 +3,7 @@
 use crate::args::{self, examples, json, path_of};
 use crate::failure::Failure;
 use crate::operators::use_threads;
-use crate::output::{print_json, print_line};
+use crate::output::{print_json, print_line, print_note};
 use crate::progress::stop_on_ctrl_c;
 use clap::builder::PossibleValuesParser;
 use clap::{Arg, ArgAction, ArgMatches, Command};
@@ -71,6 +71,9 @@ pub fn objects(matches: &ArgMatches) -> Result<(), Failure> {
     let session =
         Session::open(&folder, SessionOptions { stopper: stopper.clone(), ..SessionOptions::default() })?;
     let mut listed = list_objects(&session, &stopper)?;
+    if let Some(why) = &listed.not_kept {
+        print_note(&format!("warning: the list is not kept: {why}"));
+    }
     for (object, name) in &renames {
         listed.list.rename(object, name)?;
     }
@@ -91,7 +94,10 @@ pub fn objects(matches: &ArgMatches) -> Result<(), Failure> {
         return print_json(&ListedAndExported { objects: &list.objects, exported: exported.as_ref() });
     }
     print_table(list)?;
-    print_line(&format!("thumbnails: {}", ObjectList::sheet(&folder).display()))?;
+    let sheet = ObjectList::sheet(&folder);
+    if sheet.is_file() {
+        print_line(&format!("thumbnails: {}", sheet.display()))?;
+    }
     match exported {
         Some(done) => print_line(&format!(
             "{} objects, and {} masks in coco.json: {}",

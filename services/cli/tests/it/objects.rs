@@ -22,6 +22,15 @@ fn a_run_lists_its_objects_with_thumbnails() {
     let shown = works(&["objects", &show(&run)]);
     assert_eq!(shown.lines().count(), objects.len() + 2, "{shown}");
     assert!(shown.contains("sheet.png"), "{shown}");
+    // A folder that can only be read is listed all the same.
+    std::fs::remove_dir_all(run.join("objects")).expect("it goes");
+    let text = show(&run);
+    let read_only = ["objects", &text, "--json", "--fault", "read-only@file.write:1+"];
+    let output = segwild(&read_only);
+    let told = crate::common::text(&output.stderr);
+    assert!(output.status.success() && told.contains("the list is not kept: cannot write"), "{told}");
+    assert_eq!(json(&output.stdout)["objects"].as_array(), Some(&objects));
+    refuses(&[&read_only[..], &["--rename", "1=statue"]].concat(), 6, &["read-only"]);
 }
 
 #[test]

@@ -6,6 +6,7 @@ use crate::{
     ExportFormat, ExportedObjects, ListedObjects, ObjectList, ObjectProvenance, Replay, RunError, SceneObject,
 };
 use segwild_flow::Stopper;
+use segwild_flow::files::Obstacle;
 use std::path::Path;
 
 impl ObjectList {
@@ -43,13 +44,21 @@ fn selected(listed: &ListedObjects, object: &SceneObject) -> ObjectProvenance {
     ObjectProvenance { name: object.label(), replay, edited: false }
 }
 
-/// Writes the list of a run's objects, for [`ObjectList::read`]. Names of the list before are kept.
+/// Lists the objects of a run and writes the list, for [`ObjectList::read`]. Names of the list before are kept. A folder that can only
+/// be read is no obstacle: [`ListedObjects::not_kept`] says so.
 ///
 /// # Errors
-/// When the run has no scene tree, a file cannot be written, or `stopper` stops it.
+/// When the run has no scene tree, a file cannot be written for another reason, or `stopper` stops it.
 pub fn list_objects(session: &Session, stopper: &Stopper) -> Result<ListedObjects, RunError> {
     let folder = session.folder();
-    let listed = session.list_request()?.list(ObjectList::read(folder).as_ref(), stopper)?;
-    listed.write(folder)?;
+    let before = ObjectList::read(folder);
+    let mut listed = session.list_request()?.list(before.as_ref(), stopper)?;
+    match listed.write(folder) {
+        Err(RunError::File(error)) if matches!(error.obstacle, Obstacle::Denied | Obstacle::ReadOnly) => {
+            let is_there = before.as_ref() == Some(&listed.list);
+            listed.not_kept = (!is_there).then(|| error.to_string());
+        }
+        written => written?,
+    }
     Ok(listed)
 }

@@ -193,6 +193,8 @@ pub struct ListedObjects {
     pub(super) parts: SceneParts,
     /// Per object, the part of its best photo that shows it, the rest of the photo darkened.
     pub(super) thumbnails: Vec<Image>,
+    /// Why the run has not kept the list: its folder can only be read, and has another list or none.
+    pub not_kept: Option<String>,
 }
 
 /// How well a photo shows an object.
@@ -272,7 +274,7 @@ impl ListRequest<'_> {
             thumbnails.push(sheet::thumbnail(image.as_ref().map(|loaded| &loaded.image), &mask));
         }
         let list = ObjectList { tree: self.key.clone(), objects, seen_once: Some(seen_once) };
-        Ok(ListedObjects { list, parts, thumbnails })
+        Ok(ListedObjects { list, parts, thumbnails, not_kept: None })
     }
 
     /// The deepest pixel of a mask of a view, in the photo as taken, at full size.
