@@ -96,9 +96,9 @@ impl<T> Decode for T where
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CodecError {
     /// Fewer bytes than the header promises.
-    #[error("the record is cut short: {found} of {expected} bytes")]
+    #[error("the record is cut short: {found} bytes of it are there, and it has at least {expected}")]
     Truncated {
-        /// Bytes there should be.
+        /// Bytes there should be at least: where the header itself is cut short, it does not say how many more follow.
         expected: u64,
         /// Bytes there are.
         found: u64,

@@ -10,6 +10,7 @@ use segwild_farm::{FarmAddress, FarmSweep, JobEngine, LEAST_AGE, NatsEngine, Sto
 use segwild_pipeline::{
     DamagedFile, RunError, RunFolder, cache_gc, cache_list, cache_verify, verify_selections,
 };
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -179,16 +180,20 @@ fn verify(folder: &RunFolder, json: bool) -> Result<(), Failure> {
     let cached = cache_verify(folder, |artefact, reason| damaged.push((artefact.key(), reason.to_owned())))?;
     let (selected, changed) = verify_selections(folder);
     let (written, masks) = folder.verify_transient_masks()?;
-    let all = cached + selected + written;
+    let (kept, records) = folder.verify_records();
+    let all = cached + selected + written + kept;
     if json {
         let list: Vec<_> =
             damaged.iter().map(|(key, reason)| serde_json::json!({ "key": key, "reason": reason })).collect();
-        let images: Vec<_> = masks
-            .iter()
-            .map(|(file, reason)| serde_json::json!({ "file": file, "reason": reason }))
-            .collect();
+        let named = |files: &[(PathBuf, String)]| -> Vec<serde_json::Value> {
+            files
+                .iter()
+                .map(|(file, reason)| serde_json::json!({ "file": file, "reason": reason }))
+                .collect()
+        };
         print_json(&serde_json::json!({
-            "files": all, "damaged": list, "selections": changed, "transient_masks": images
+            "files": all, "damaged": list, "selections": changed, "transient_masks": named(&masks),
+            "records": named(&records)
         }))?;
     } else {
         for (key, reason) in &damaged {
@@ -197,10 +202,11 @@ fn verify(folder: &RunFolder, json: bool) -> Result<(), Failure> {
         for DamagedFile { file, reason, .. } in &changed {
             print_line(&format!("damaged  {}: {reason}", file.display()))?;
         }
-        for (file, reason) in &masks {
+        for (file, reason) in masks.iter().chain(&records) {
             print_line(&format!("damaged  {}: {reason}", file.display()))?;
         }
-        print_line(&format!("{all} files, {} damaged", damaged.len() + changed.len() + masks.len()))?;
+        let wrong = damaged.len() + changed.len() + masks.len() + records.len();
+        print_line(&format!("{all} files, {wrong} damaged"))?;
     }
     let mut messages = Vec::new();
     if !damaged.is_empty() {
@@ -215,6 +221,9 @@ fn verify(folder: &RunFolder, json: bool) -> Result<(), Failure> {
             "{} of {written} transient masks are damaged; `segwild run` moves them aside and computes them again",
             masks.len()
         ));
+    }
+    for (file, _) in &records {
+        messages.push(format!("{} is damaged: delete it and run again", file.display()));
     }
     // A sentence for each selection: the command that makes it again.
     let mut again: Vec<DamagedFile> = changed;

@@ -214,6 +214,13 @@ fn damage_to_a_selections_files_is_seen() {
     works(&click(&run).each_ref().map(String::as_str));
     let selection = run.join("selections/object");
     works(&["cache", "verify", &show(&run)]);
+    // The trained scene and its features say themselves whether they are whole.
+    let features = run.join("features.bin");
+    let whole = std::fs::read(&features).expect("it is there");
+    std::fs::write(&features, &whole[..50]).expect("it is written");
+    let cut = ["features.bin is damaged", "delete it and run again"];
+    refuses(&["cache", "verify", &show(&run)], 6, &cut);
+    std::fs::write(&features, &whole).expect("it is written");
     let again = ["--name object", "--prompts"];
     let named = |photo: &str| Path::new("masks").join(Path::new(photo).with_extension("png"));
     let mask = named(&shared_run().manifest.photos[1].name);

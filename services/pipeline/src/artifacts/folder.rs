@@ -345,6 +345,23 @@ impl RunFolder {
         codec::decode(kind, &bytes).map_err(|source| RunError::Record { path, source })
     }
 
+    /// Reads `model.bin` and `features.bin`, as far as they are there, and compares their hashes: how many there are, and those that
+    /// are damaged, each with the reason.
+    pub fn verify_records(&self) -> (usize, Vec<(PathBuf, String)>) {
+        let (mut count, mut damaged) = (0, Vec::new());
+        for name in ["model.bin", "features.bin"] {
+            let path = self.path.join(name);
+            let reason = match codec::read_file(&path) {
+                Err(error) if error.kind() == ErrorKind::NotFound => continue,
+                Err(error) => Some(error.to_string()),
+                Ok(bytes) => codec::open(&bytes).err().map(|error| error.to_string()),
+            };
+            count += 1;
+            damaged.extend(reason.map(|reason| (path, reason)));
+        }
+        (count, damaged)
+    }
+
     /// The settings that the run was made with, except paths of code ([`crate::Code`]).
     pub fn settings(&self) -> Result<Settings, RunError> {
         Ok(Settings::recorded(&self.settings_file(), &[])?)
