@@ -396,6 +396,9 @@ fn another_scene_is_not_run_into_a_used_folder() {
     let args = [&["run", &other, "--out", &run][..], &QUICK].concat();
     refuses(&args, 2, &["the run of another scene", "moved", "give `--out` another folder"]);
     refuses(&[&args[..], &["--explain"]].concat(), 2, &["the run of another scene"]);
+    std::fs::write(Path::new(&run).join("scene.json"), "{\"scene\":").expect("it is written");
+    refuses(&["bake", &run], 6, &["scene.json", "segwild run SCENE --out"]);
+    works(&[&["run", &show(&moved), "--out", &run][..], &QUICK].concat());
     // What needs the photos says how to go on where they are gone.
     std::fs::remove_dir_all(&moved).expect("they go");
     refuses(&["bake", &run], 3, &["the photos of this run are not there", "segwild run NEWPATH --out"]);

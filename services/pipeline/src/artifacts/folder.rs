@@ -368,7 +368,15 @@ impl RunFolder {
     }
 
     pub(crate) fn intake(&self) -> Result<Intake, RunError> {
-        let mut intake: Intake = self.read_json("scene.json")?;
+        let again = |error| match error {
+            RunError::Folder { path, reason } => {
+                let run = self.path.display();
+                let reason = format!("{reason}; `segwild run SCENE --out {run}` writes it again");
+                RunError::Folder { path, reason }
+            }
+            other => other,
+        };
+        let mut intake: Intake = self.read_json("scene.json").map_err(again)?;
         if intake.scene.is_relative() {
             let within = self.path.join(&intake.scene);
             intake.scene = std::path::absolute(&within).unwrap_or(within);
