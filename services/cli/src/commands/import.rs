@@ -42,7 +42,11 @@ pub fn import(matches: &ArgMatches) -> Result<(), Failure> {
     settings.scene.imported_splats = whole.display().to_string();
     let json = matches.get_flag("json");
     let scene = match path_of(matches, "photos") {
-        Some(photos) => photos,
+        Some(photos) => {
+            // A damaged file is refused before anything is computed; the run reads it again.
+            file.read().map_err(RunError::from)?;
+            photos
+        }
         None => {
             if !json {
                 print_line(&format!("{}: rendering views of {} splats", file.path.display(), file.splats))?;

@@ -180,6 +180,11 @@ fn what_cannot_be_imported_is_refused_in_words() {
     refuses(&["import", &show(&dir.path().join("gone.ply"))], 3, &["gone.ply"]);
     let split = scene().join("split.tsv");
     refuses(&["import", &show(&split)], 3, &["no file of splats"]);
+    let (cut, bytes) = (dir.path().join("cut.ply"), std::fs::read(&file).expect("it is there"));
+    std::fs::write(&cut, &bytes[..bytes.len() / 2]).expect("it is written");
+    let aside = dir.path().join("aside");
+    refuses(&["import", &show(&cut), "--out", &show(&aside), "--photos", &photos], 3, &["cut.ply"]);
+    assert!(!aside.exists(), "nothing was computed");
     // Splats of another scene.
     own.means.iter_mut().enumerate().for_each(|(i, mean)| *mean = mean.map(|v| v + (i % 17) as f32));
     foreign(&file, &own);
