@@ -38,6 +38,29 @@ fn wants_json(matches: &clap::ArgMatches) -> bool {
     }
 }
 
+/// Whether a command line that was refused is to be answered in JSON.
+fn wants_json_by_words(words: &[String]) -> bool {
+    words.iter().take_while(|word| *word != "--").any(|word| word == "--json")
+}
+
+/// Prints a mistake on the command line, for a program as well where one of the words requests that.
+fn misused(failure: &failure::Failure, words: &[String]) -> ExitCode {
+    failure.tell();
+    if wants_json_by_words(words) {
+        // Nobody listening: the exit code says it, too.
+        let _ = output::print_json(&failure.to_json());
+    }
+    ExitCode::from(failure.code)
+}
+
+/// What clap says is wrong with a command line: one line, without its advice.
+fn in_one_line(error: &clap::Error) -> String {
+    let whole = error.render().to_string();
+    let sentence = whole.split("\n\n").next().unwrap_or_default();
+    let words: Vec<&str> = sentence.trim_start_matches("error:").split_whitespace().collect();
+    words.join(" ")
+}
+
 /// Prints why a command line was refused, or the help that was wanted. A flag of an earlier version is answered with the
 /// present one.
 fn refused(error: &clap::Error, words: &[String]) -> ExitCode {
@@ -46,17 +69,21 @@ fn refused(error: &clap::Error, words: &[String]) -> ExitCode {
         _ => "",
     };
     if let Some(sentence) = commands::renamed(words, flag) {
-        failure::Failure::usage(sentence).tell();
-        return ExitCode::from(exit::USAGE);
+        return misused(&failure::Failure::usage(sentence), words);
     }
     // The value itself would be printed, with its password.
     let source = std::error::Error::source(error).and_then(|e| e.downcast_ref::<FarmAddressError>());
     if let Some(secret @ FarmAddressError::Secret) = source {
-        failure::Failure::usage(secret.to_string()).tell();
-        return ExitCode::from(exit::USAGE);
+        return misused(&failure::Failure::usage(secret.to_string()), words);
     }
     let _ = error.print();
-    ExitCode::from(if error.use_stderr() { exit::USAGE } else { exit::OK })
+    if !error.use_stderr() {
+        return ExitCode::from(exit::OK);
+    }
+    if wants_json_by_words(words) {
+        let _ = output::print_json(&failure::Failure::usage(in_one_line(error)).to_json());
+    }
+    ExitCode::from(exit::USAGE)
 }
 
 fn main() -> ExitCode {
@@ -67,8 +94,7 @@ fn main() -> ExitCode {
     unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
     let words: Vec<String> = std::env::args_os().skip(1).map(|w| w.to_string_lossy().into_owned()).collect();
     if let Some(sentence) = commands::renamed_value(&words) {
-        failure::Failure::usage(sentence).tell();
-        return ExitCode::from(exit::USAGE);
+        return misused(&failure::Failure::usage(sentence), &words);
     }
     let matches = match commands::program().try_get_matches() {
         Ok(matches) => matches,

@@ -270,6 +270,14 @@ fn bad_settings_are_answered_in_words() {
     std::fs::write(&file, "[train]\nstpes = 3\n").expect("it is written");
     refuses(&["run", &scene, "--out", &out, "--config", &show(&file)], 2, &["my.toml", "stpes"]);
     refuses(&["run", &scene, "--out", &out, "--models", "/nowhere"], 3, &["/nowhere"]);
+    // A program reads the same in JSON.
+    for (args, word) in [(&["run", "--sise", "3", "--json"][..], "--sise"), (&["run", "--json"], "<SCENE>")] {
+        let refused = segwild(args);
+        let told = json(&refused.stdout);
+        let sentence = told["error"].as_str().unwrap_or_default();
+        assert!(refused.status.code() == Some(2) && told["exit_code"] == 2, "{told}");
+        assert!(sentence.contains(word) && !sentence.contains("Usage"), "{told}");
+    }
 }
 
 #[test]
