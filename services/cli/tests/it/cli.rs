@@ -192,6 +192,7 @@ fn bad_clicks_are_answered_in_words() {
     );
     refuses(&["render", &run, "--selection", "none-such"], 2, &["no selection named `none-such`"]);
     refuses(&["render", &run, "--frames", "4294967295"], 2, &["--frames", "100000"]);
+    refuses(&["render", &run, "--out", "no-such/turn.GIF"], 2, &["turn.GIF", "a video is .mp4"]);
     let odd = format!("two\nlines{}", "x".repeat(400));
     let output = segwild(&["render", &run, "--selection", &odd]);
     let stdout = text(&output.stderr);

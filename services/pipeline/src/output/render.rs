@@ -216,6 +216,9 @@ impl RenderRequest {
         if let Some(frames) = self.frames.filter(|frames| !(2..=MOST_FRAMES).contains(frames)) {
             return refuse(&format!("a path has 2 to {MOST_FRAMES} frames, and {frames} are requested"));
         }
+        if let Some(out) = self.out.as_deref().filter(|out| video::is_other(out) && !out.is_dir()) {
+            return refuse(&format!("{}: a video is .mp4, and images go into a folder", out.display()));
+        }
         let around = self.path != CameraPath::Photos;
         if around && self.selection.is_none() {
             return refuse("a path around an object needs --selection NAME");

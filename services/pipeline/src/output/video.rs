@@ -17,6 +17,16 @@ pub(crate) fn is_video(path: &Path) -> bool {
     path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mp4"))
 }
 
+/// Endings of images and of videos that are not written: a folder of such a name would be a surprise.
+const OTHERS: [&str; 13] =
+    ["avi", "avif", "bmp", "gif", "jpeg", "jpg", "m4v", "mkv", "mov", "png", "tiff", "webm", "webp"];
+
+/// Whether a path is that of an image, or of a video that is not written.
+pub(crate) fn is_other(path: &Path) -> bool {
+    let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
+    ending.is_some_and(|ending| OTHERS.contains(&ending.as_str()))
+}
+
 /// The ffmpeg that encodes.
 ///
 /// # Errors
