@@ -4,7 +4,10 @@ use std::path::{Path, PathBuf};
 
 use super::{Owner, SCHEMA_VERSION};
 use crate::files::FileError;
-use crate::shortage::is_shortage;
+use crate::shortage::{free_disk_bytes, is_shortage};
+
+/// SQLite's shared memory beside a ledger takes so many bytes of the disk, also where it is only read.
+const SHARED_MEMORY: u64 = 32 << 10;
 
 /// Why the ledger could not serve.
 #[derive(Debug, thiserror::Error)]
@@ -74,6 +77,10 @@ impl LedgerError {
         let path = path.to_path_buf();
         match source.sqlite_error_code() {
             Some(DiskFull) => Self::DiskFull { path },
+            // Where it is the shared memory that has no space, SQLite only says that the disk failed.
+            Some(SystemIoFailure) if free_disk_bytes(&path).is_some_and(|free| free < SHARED_MEMORY) => {
+                Self::DiskFull { path }
+            }
             Some(ReadOnly) => Self::ReadOnly { path },
             // SQLite does not say why; the system does.
             Some(CannotOpen) => match std::fs::File::open(&path) {
