@@ -283,7 +283,7 @@ impl From<TrialError> for Failure {
             TrialError::Run(e) => e.into(),
             TrialError::Vision(e) => RunError::from(e).into(),
             TrialError::Scene(e) => RunError::from(e).into(),
-            TrialError::Row(_) => Failure::usage(error.to_string()),
+            TrialError::Row { .. } => Failure::usage(error.to_string()),
             TrialError::Metric { .. } => Failure { message: error.to_string(), code: exit::FAILED },
         }
     }

@@ -65,8 +65,26 @@ pub enum TrialError {
         source: MetricError,
     },
     /// The table has no row of this name.
-    #[error("there is no row `{0}`")]
-    Row(String),
+    #[error("there is no row `{requested}`; the rows are {known}")]
+    Row {
+        /// The name.
+        requested: String,
+        /// The names of the rows that there are.
+        known: String,
+    },
+}
+
+impl TrialError {
+    /// Refuses the name of a row; `known` are the names of those that there are.
+    pub(crate) fn no_row<'a>(requested: &str, known: impl Iterator<Item = &'a str>) -> TrialError {
+        let mut names: Vec<&str> = Vec::new();
+        for name in known {
+            if !names.contains(&name) {
+                names.push(name);
+            }
+        }
+        TrialError::Row { requested: requested.to_owned(), known: names.join(", ") }
+    }
 }
 
 /// How well one object was found from its click.

@@ -14,7 +14,7 @@ fn benchmarks_without_their_data_say_what_to_put_where() {
     bench(&["nvos", &none], 3, &["scribbles", "pos_*.png"]);
     bench(&["spin-nerf", &none], 3, &["ROOT/SCENE/label"]);
     bench(&["folder", &none], 3, &["none"]);
-    bench(&["synthetic", "--only", "no-such-row"], 2, &["no-such-row"]);
+    bench(&["synthetic", "--only", "no-such-row"], 2, &["no row `no-such-row`", "the rows are full"]);
     bench(&["synthetic", "--seeds", "one"], 2, &["--seeds one", "whole numbers"]);
     bench(&["synthetic", "--change", "tau=7"], 2, &["-1 to 1"]);
 }

@@ -27,7 +27,8 @@ impl Table {
             let all = if self == Table::Baselines { BASELINES } else { VARIANTS };
             return Ok(all.iter().collect());
         }
-        let named = |name: &String| row(name).ok_or_else(|| TrialError::Row(name.clone()).into());
+        let known = || VARIANTS.iter().chain(BASELINES).map(|row| row.name);
+        let named = |name: &String| row(name).ok_or_else(|| TrialError::no_row(name, known()).into());
         only.iter().map(named).collect()
     }
 }

@@ -114,7 +114,7 @@ pub fn lego(
 ) -> Result<(), ProtocolError> {
     let only = &options.only;
     if let Some(odd) = only.iter().find(|o| ROWS.iter().all(|r| r.name != **o)) {
-        return Err(TrialError::Row(odd.clone()).into());
+        return Err(TrialError::no_row(odd, ROWS.iter().map(|row| row.name)).into());
     }
     for &seed in &options.seeds {
         let scene = SyntheticOptions {
