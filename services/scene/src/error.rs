@@ -80,10 +80,12 @@ pub enum SceneError {
         reason: String,
     },
     /// No reconstruction was recognised.
-    #[error("{path} holds no scene that can be read; looked for {looked_for}", path = path.display())]
+    #[error("{path} {problem}; looked for {looked_for}", path = path.display())]
     NotAScene {
         /// The folder.
         path: PathBuf,
+        /// What it is instead.
+        problem: &'static str,
         /// The forms of scenes that are recognised.
         looked_for: String,
     },

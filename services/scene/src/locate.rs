@@ -83,8 +83,17 @@ pub(crate) fn find(path: &Path, settings: &SceneSettings) -> Result<FoundScene, 
         let images = images.unwrap_or_else(|| folder.clone());
         return Ok(FoundScene { folder, draft, images, unposed: None });
     }
+    let is_empty = || std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none());
+    let problem = if metadata.is_file() && is_photo(path) {
+        "is one photo: give the folder that it is in"
+    } else if metadata.is_dir() && is_empty() {
+        "is empty: there are no photos in it"
+    } else {
+        "holds no scene that can be read"
+    };
     Err(SceneError::NotAScene {
         path: path.to_owned(),
+        problem,
         looked_for: format!(
             "a COLMAP reconstruction (cameras and images, .bin or .txt, in {}), nerfstudio's transforms.json and Blender's \
              transforms_train.json; and there are no photos or video whose poses could be computed",

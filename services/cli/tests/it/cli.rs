@@ -224,7 +224,12 @@ fn bad_scenes_are_answered_in_words() {
     refuses(&["run", "/nowhere/at/all", "--out", &out], 3, &["/nowhere/at/all"]);
     let empty = dir.path().join("empty");
     std::fs::create_dir(&empty).expect("a folder");
-    refuses(&["run", &show(&empty), "--out", &out], 3, &["looked for", "COLMAP", "transforms.json"]);
+    let words = ["is empty", "looked for", "COLMAP", "transforms.json"];
+    refuses(&["run", &show(&empty), "--out", &out], 3, &words);
+    let images = shared_run().scene.join("images");
+    let mut photos = std::fs::read_dir(images).expect("a folder").flatten();
+    let photo = photos.next().expect("a photo").path();
+    refuses(&["run", &show(&photo), "--out", &out], 3, &["is one photo", "give the folder"]);
 
     let cut = dir.path().join("cut");
     copy_folder(&shared_run().scene, &cut);

@@ -261,7 +261,7 @@ fn a_machine_without_colmap_or_ffmpeg_says_how_to_get_them() {
     refuses(
         &["run", &show(&empty), "--out", &show(&dir.path().join("none"))],
         3,
-        &["holds no scene", "no photos"],
+        &["is empty", "no photos"],
     );
 }
 
