@@ -279,10 +279,10 @@ fn bad_settings_are_answered_in_words() {
     // A program reads the same in JSON.
     for (args, word) in [(&["run", "--sise", "3", "--json"][..], "--sise"), (&["run", "--json"], "<SCENE>")] {
         let refused = segwild(args);
-        let told = json(&refused.stdout);
-        let sentence = told["error"].as_str().unwrap_or_default();
-        assert!(refused.status.code() == Some(2) && told["exit_code"] == 2, "{told}");
-        assert!(sentence.contains(word) && !sentence.contains("Usage"), "{told}");
+        let printed = json(&refused.stdout);
+        let sentence = printed["error"].as_str().unwrap_or_default();
+        assert!(refused.status.code() == Some(2) && printed["exit_code"] == 2, "{printed}");
+        assert!(sentence.contains(word) && !sentence.contains("Usage"), "{printed}");
     }
 }
 

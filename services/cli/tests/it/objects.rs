@@ -27,8 +27,8 @@ fn a_run_lists_its_objects_with_thumbnails() {
     let text = show(&run);
     let read_only = ["objects", &text, "--json", "--fault", "read-only@file.write:1+"];
     let output = segwild(&read_only);
-    let told = crate::common::text(&output.stderr);
-    assert!(output.status.success() && told.contains("the list is not kept: cannot write"), "{told}");
+    let printed = crate::common::text(&output.stderr);
+    assert!(output.status.success() && printed.contains("the list is not kept: cannot write"), "{printed}");
     assert_eq!(json(&output.stdout)["objects"].as_array(), Some(&objects));
     refuses(&[&read_only[..], &["--rename", "1=statue"]].concat(), 6, &["read-only"]);
 }

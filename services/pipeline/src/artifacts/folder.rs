@@ -368,7 +368,7 @@ impl RunFolder {
     }
 
     pub(crate) fn intake(&self) -> Result<Intake, RunError> {
-        let again = |error| match error {
+        let again = |error: RunError| match error {
             RunError::Folder { path, reason } => {
                 let run = self.path.display();
                 let reason = format!("{reason}; `segwild run SCENE --out {run}` writes it again");
