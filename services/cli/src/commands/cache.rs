@@ -186,10 +186,7 @@ fn verify(folder: &RunFolder, json: bool) -> Result<(), Failure> {
         let list: Vec<_> =
             damaged.iter().map(|(key, reason)| serde_json::json!({ "key": key, "reason": reason })).collect();
         let named = |files: &[(PathBuf, String)]| -> Vec<serde_json::Value> {
-            files
-                .iter()
-                .map(|(file, reason)| serde_json::json!({ "file": file, "reason": reason }))
-                .collect()
+            files.iter().map(|(file, reason)| serde_json::json!({ "file": file, "reason": reason })).collect()
         };
         print_json(&serde_json::json!({
             "files": all, "damaged": list, "selections": changed, "transient_masks": named(&masks),

@@ -258,11 +258,7 @@ fn a_machine_without_colmap_or_ffmpeg_says_how_to_get_them() {
     }
     let empty = dir.path().join("empty");
     std::fs::create_dir(&empty).expect("a folder");
-    refuses(
-        &["run", &show(&empty), "--out", &show(&dir.path().join("none"))],
-        3,
-        &["is empty", "no photos"],
-    );
+    refuses(&["run", &show(&empty), "--out", &show(&dir.path().join("none"))], 3, &["is empty", "no photos"]);
 }
 
 #[cfg(unix)]

@@ -176,7 +176,8 @@ impl BatchManifest {
             let declared = declared.map(|size| size.bytes()).transpose().map_err(|e| wrong(e.into()))?;
             let needs = Needs {
                 cores,
-                memory_bytes: memory(&scene, &effective, declared, cores, &budget, unopened).map_err(wrong)?,
+                memory_bytes: memory(&scene, &effective, declared, cores, &budget, unopened)
+                    .map_err(wrong)?,
                 accelerators: own.accelerators.or(d.accelerators).unwrap_or(0),
             };
             if bounded && !needs.fit(&budget) {
