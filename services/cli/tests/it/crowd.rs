@@ -12,7 +12,7 @@ use std::process::{Child, Command, Stdio};
 const FILES: u32 = 256;
 const CROWD: usize = 400;
 /// Steps of a training that is not over before the crowd is there.
-const STEPS: &str = "600";
+const STEPS: &str = "1500";
 
 /// The program in a shell that may open so few files.
 fn with_few_files(limit: u32, args: &[String]) -> Command {
