@@ -292,7 +292,8 @@ mod tests {
                 assert!(division.photos.iter().all(|photos| photos.len() < 30), "a part of the photos each");
                 assert!(!division.photos_at_seams().is_empty());
                 let largest = division.shares.iter().copied().fold(0.0, f32::max);
-                assert!(largest < 1.6 / count as f32 + 0.05, "{largest} of {count}: the blocks are alike");
+                // A block with its border, which along a thin side is as wide as the block.
+                assert!(largest < (2.4 / count as f32 + 0.05).min(0.9), "{largest} of {count}: the blocks are alike");
             }
         }
     }
