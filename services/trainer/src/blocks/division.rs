@@ -293,7 +293,10 @@ mod tests {
                 assert!(!division.photos_at_seams().is_empty());
                 let largest = division.shares.iter().copied().fold(0.0, f32::max);
                 // A block with its border, which along a thin side is as wide as the block.
-                assert!(largest < (2.4 / count as f32 + 0.05).min(0.9), "{largest} of {count}: the blocks are alike");
+                assert!(
+                    largest < (2.4 / count as f32 + 0.05).min(0.9),
+                    "{largest} of {count}: the blocks are alike"
+                );
             }
         }
     }
