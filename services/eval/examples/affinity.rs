@@ -6,7 +6,7 @@
 //! count the light of splats.
 
 use segwild_pipeline::{RunFolder, Settings};
-use segwild_raster::{CpuEngine, Rasterizer};
+use segwild_raster::{Channels, CpuEngine, Rasterizer};
 use segwild_scene::{Embedding, Image, Mask};
 use segwild_segmenter::SplatFeatures;
 use segwild_vision::Providers;
@@ -119,7 +119,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         light.iter_mut().zip(seen.chunks_exact(2)).for_each(|(sum, l)| *sum = [sum[0] + l[0], sum[1] + l[1]]);
     }
     let field = loaded.field.as_ref().ok_or("the run has no features yet")?;
-    let features = SplatFeatures::new(field.channels().count, field.channels().values.to_vec())?;
+    let features = SplatFeatures::of(field.rows.clone());
+    let values = field.values();
+    let channels = Channels { count: field.channels(), values: &values };
     let scored = |similarity: &[f32]| -> Scored {
         let of = |(s, [outside, inside]): (&f32, &[f32; 2])| (*s, inside > outside, inside + outside);
         similarity.iter().zip(&light).map(of).collect()
@@ -150,7 +152,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         others.iter().for_each(|scored| rows[1].add(scored));
         // The field at the click, divided by the cover: any scale has the same cosine.
         let camera = view.camera.scaled_to(size);
-        let image = engine.project(splats, &camera, &view.pose, &options)?.blend(&field.channels())?.image;
+        let image = engine.project(splats, &camera, &view.pose, &options)?.blend(&channels)?.image;
         let mask = mask.resized(camera.width, camera.height);
         let n = image.pixels();
         let feature =

@@ -24,9 +24,9 @@ impl FeatureColours {
         let stride = field.len().div_ceil(SAMPLES).max(1);
         let mut samples = Vec::new();
         for splat in (0..field.len()).step_by(stride) {
-            samples.extend(direction(field.feature(splat)).unwrap_or_default());
+            samples.extend(direction(&field.feature(splat)).unwrap_or_default());
         }
-        let pca = match Pca::fit(&samples, field.channels, 3, 1.0) {
+        let pca = match Pca::fit(&samples, field.channels(), 3, 1.0) {
             Ok(pca) => pca,
             Err(FeatureError::Flat | FeatureError::NoSamples) => {
                 return Ok(FeatureColours { pca: None, ranges: Vec::new() });
@@ -34,7 +34,7 @@ impl FeatureColours {
             Err(other) => return Err(other),
         };
         let mut axes = vec![Vec::new(); pca.channels];
-        for sample in samples.chunks_exact(field.channels) {
+        for sample in samples.chunks_exact(field.channels()) {
             project(&pca, sample).zip(&mut axes).for_each(|(v, axis)| axis.push(v));
         }
         let range = |axis: &mut Vec<f32>| {

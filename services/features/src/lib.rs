@@ -31,7 +31,7 @@ mod target;
 pub use actor::{EMBEDDING, EmbedError, FeatureActor, FeatureOutcome, FeatureTask, FieldInputs, describe};
 pub use colours::FeatureColours;
 pub use error::FeatureError;
-pub use field::FeatureField;
+pub use field::{FeatureField, WideFeatureField};
 pub use lift::{Lifted, Lifter};
 pub use pca::{EmbeddingSamples, FeatureDecoder, MAX_SAMPLES, Pca};
 pub use refine::{Progress, build};

@@ -73,28 +73,23 @@ pub fn build(
         // Lifting cannot stop half-way, so the answer is ignored.
         let _ = progress(Progress::Lifted { done: i + 1, of: source.len() });
     }
-    let mut field = FeatureField {
-        channels: pca.channels,
-        values: lifter.finish()?.values,
-        pca: pca.clone(),
-        decoder: pca.decoder(),
-    };
-    refine(&mut views, &mut field, progress)?;
-    Ok(field)
+    let lifted = lifter.finish()?.values;
+    let (values, learned) = refine(&mut views, pca, lifted, progress)?;
+    FeatureField::rounded(pca.channels, &values, pca.clone(), learned.unwrap_or_else(|| pca.decoder()))
 }
 
-/// Refines `field` in place.
+/// Refines features, `[splat][channel]`, flat. Returns them and the learned decoder, where there is one.
 fn refine(
     views: &mut Views,
-    field: &mut FeatureField,
+    pca: &Pca,
+    values: Vec<f32>,
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
-) -> Result<(), FeatureError> {
+) -> Result<(Vec<f32>, Option<FeatureDecoder>), FeatureError> {
     let settings = views.settings;
     let (count, of) = (views.source.len(), settings.refine_steps as usize);
-    if count == 0 || field.is_empty() {
-        return Ok(());
+    if count == 0 || values.is_empty() {
+        return Ok((values, None));
     }
-    let pca = &field.pca;
     // It starts at the principal components' decoder: from a random one, features need tens of thousands of steps before they
     // are of use.
     let offsets: Vec<f32> = pca.mean.iter().map(|m| m * pca.scale).collect();
@@ -105,8 +100,7 @@ fn refine(
         compact: settings.weight_compact,
         rate: settings.feature_lr,
     };
-    let mut refinement =
-        FieldRefinement::new(field.channels, std::mem::take(&mut field.values), decoder, weights);
+    let mut refinement = FieldRefinement::new(pca.channels, values, decoder, weights);
     refinement.upload(views.engine)?;
     let mut order: Vec<usize> = (0..count).collect();
     for step in 0..of {
@@ -132,14 +126,13 @@ fn refine(
         }
     }
     let refined = refinement.finish()?;
-    field.values = refined.values;
-    if let Some(mut weights) = refined.decoder {
-        weights.iter_mut().for_each(|w| *w /= field.pca.scale);
-        let bias = weights.split_off(field.pca.basis.len());
+    let learned = refined.decoder.map(|mut weights| {
+        weights.iter_mut().for_each(|w| *w /= pca.scale);
+        let bias = weights.split_off(pca.basis.len());
         let embedding_channels = bias.len();
-        field.decoder = FeatureDecoder { channels: field.channels, embedding_channels, weights, bias };
-    }
-    Ok(())
+        FeatureDecoder { channels: pca.channels, embedding_channels, weights, bias }
+    });
+    Ok((refined.values, learned))
 }
 
 /// A view ready to be rendered and compared.

@@ -21,9 +21,14 @@ CAMERA = {
     "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "translation": [0, 0, 2], "distorted": False,
 }  # fmt: skip
 
+#: Kind of the records of feature fields with numbers of 32 bits, as earlier versions wrote them.
+WIDE = b"features"
 
-def features(count: int, channels: int, values: int, kind: bytes = b"features") -> bytes:
-    payload = channels.to_bytes(8, "little") + count.to_bytes(8, "little") + np.arange(values, dtype="<f4").tobytes()
+
+def features(count: int, channels: int, values: int, kind: bytes = b"features/2", unit: float = 1.0) -> bytes:
+    before = b"" if kind == WIDE else np.array([unit], "<f4").tobytes()
+    numbers = np.arange(values, dtype="<f4" if kind == WIDE else "<f2")
+    payload = channels.to_bytes(8, "little") + before + count.to_bytes(8, "little") + numbers.tobytes()
     head = b"\x89SGW\r\n\x1a\n" + (1).to_bytes(2, "little") + bytes([len(kind)]) + kind
     return head + len(payload).to_bytes(8, "little") + bytes(32) + payload
 
@@ -139,8 +144,11 @@ class FolderTest(unittest.TestCase):
             Run(self.folder).selection("it").labels()
 
     def test_features_are_read_from_a_whole_record_of_their_kind_alone(self) -> None:
-        self.write("features.bin", features(8, 2, 8))
-        np.testing.assert_array_equal(Run(self.folder).features().values, np.arange(8).reshape(4, 2))
+        for kind, unit in ((b"features/2", 1.0), (b"features/2", 0.25), (WIDE, 1.0)):
+            self.write("features.bin", features(8, 2, 8, kind, unit))
+            values = Run(self.folder).features().values
+            self.assertEqual(values.dtype, np.float32)
+            np.testing.assert_array_equal(values, unit * np.arange(8).reshape(4, 2))
         # What follows the vectors belongs to the record, too.
         self.write("features.bin", features(8, 2, 20))
         np.testing.assert_array_equal(Run(self.folder).features().values, np.arange(8).reshape(4, 2))
@@ -150,7 +158,15 @@ class FolderTest(unittest.TestCase):
             (features(8, 0, 8), "damaged"),
             (features(7, 2, 8), "damaged"),
             (features(1 << 62, 2, 8), "damaged"),
-            (features(8, 2, 8, b"model"), "`model` and not `features`"),
+            (features(8, 2, 7), "damaged"),
+            (features(8, 2, 7, WIDE), "damaged"),
+            (features(8, 2, 8, unit=0.0), "no unit"),
+            (features(8, 2, 8, unit=-1.0), "no unit"),
+            (features(8, 2, 8, unit=3.0), "no unit"),
+            (features(8, 2, 8, unit=float("nan")), "no unit"),
+            (good[:-16] + np.full(8, np.inf, "<f2").tobytes(), "not finite"),
+            (features(8, 2, 8, b"features/3"), "`features/3` and not `features/2`"),
+            (features(8, 2, 8, b"model"), "`model` and not `features/2`"),
             (good[:-1], "cut short"),
             (good + b"x", "too long"),
             (good[:30], "cut short"),
@@ -162,7 +178,7 @@ class FolderTest(unittest.TestCase):
                 Run(self.folder).features()
 
     def test_similar_features_have_a_cosine_of_one_and_none_has_zero(self) -> None:
-        before, after = np.arange(8, dtype="<f4"), np.array([1, 0, 2, 0, 0, 3, 0, 0], "<f4")
+        before, after = np.arange(8, dtype="<f2"), np.array([1, 0, 2, 0, 0, 3, 0, 0], "<f2")
         self.write("features.bin", features(8, 2, 8).replace(before.tobytes(), after.tobytes()))
         np.testing.assert_allclose(Run(self.folder).features().similarity(0), [1, 1, 0, 0])
 

@@ -31,6 +31,11 @@ pub fn from_half(bits: u16) -> f32 {
     f32::from_bits(magnitude.to_bits() | special | (u32::from(bits & 0x8000) << 16))
 }
 
+/// Whether a number of 16 bits is neither infinite nor no number.
+pub fn is_finite(bits: u16) -> bool {
+    bits & 0x7c00 != 0x7c00
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -65,6 +70,7 @@ mod tests {
             let value = from_half(bits);
             assert_eq!(value.is_nan(), bits & 0x7fff > 0x7c00, "{bits:#06x} is {value}");
             assert!(value.is_nan() || to_half(value) == bits, "{bits:#06x} is {value}");
+            assert_eq!(value.is_finite(), is_finite(bits), "{bits:#06x} is {value}");
         }
     }
 

@@ -7,8 +7,8 @@ use segwild_flow::lock;
 use segwild_objective::FieldBackend;
 use segwild_objective::field::{Queries, dot, score};
 use segwild_raster::{Channels, ProjectOptions, Rasterizer};
-use segwild_scene::half::{from_half, to_half};
-use segwild_scene::{Camera, Image, Pose, Splats};
+use segwild_scene::half::from_half;
+use segwild_scene::{Camera, HalfRows, Image, Pose, Splats};
 use std::any::Any;
 use std::sync::Mutex;
 
@@ -18,22 +18,12 @@ const ROWS: usize = 512;
 /// Lanes of a dot product of rows: sums are formed per lane and added in one fixed order.
 const LANES: usize = 16;
 
-/// Share of the rows whose largest number is at most about [`LARGEST`] as it is kept (method, section 6.2). By choice: a row may be
-/// 32 times as large as these, and few are damaged. Not varied yet.
-const USUAL_ROWS: f64 = 0.999;
-
-/// Exponent of two of the largest number of the usual rows as it is kept: 16 bits have 11 significant ones from 2^-14 to 2^16.
-const LARGEST: i32 = 10;
-
-/// One feature vector per splat, ready for similarity queries. The numbers are rounded to 16 bits, in units of one power of two for
-/// the whole field: beside the splats they are the largest array of a session.
+/// One feature vector per splat, ready for similarity queries. The numbers have 16 bits, in units of one power of two for the whole
+/// field: beside the splats they are the largest array of a session.
 pub struct SplatFeatures {
-    channels: usize,
-    /// `[splat][channel]`, flat, as [`to_half`] gives them, in units of `unit`.
-    halves: Vec<u16>,
-    /// A power of two.
-    unit: f32,
-    /// Of the rows as they are kept.
+    /// A row per splat.
+    rows: HalfRows,
+    /// Of [`HalfRows::halves`].
     inverse_norms: Vec<f32>,
     on_device: Option<Box<dyn Any + Send + Sync>>,
 }
@@ -42,44 +32,49 @@ impl SplatFeatures {
     /// Takes `values[splat][channel]`, flat, in any unit. Rows that are zero, hold a NaN, or have a number more than 64 times as
     /// large as 999 of 1000 rows have resemble nothing.
     pub fn new(channels: usize, values: Vec<f32>) -> Result<SplatFeatures, SegmentError> {
-        if channels == 0 || !values.len().is_multiple_of(channels) {
-            return Err(SegmentError::Shape(format!(
+        match HalfRows::rounded(channels, &values) {
+            Some(rows) => Ok(SplatFeatures::of(rows)),
+            None => Err(SegmentError::Shape(format!(
                 "{} feature values do not fit {channels} channels",
                 values.len()
-            )));
+            ))),
         }
-        let unit = unit_of(channels, &values);
-        let halves: Vec<u16> = values.par_iter().map(|&value| to_half(value / unit)).collect();
-        let inverse_norms = halves
-            .par_chunks(channels * ROWS)
+    }
+
+    /// Takes rows that were rounded before, a row per splat, as they are.
+    pub fn of(rows: HalfRows) -> SplatFeatures {
+        let channels = rows.channels();
+        let inverse_norms = rows
+            .halves()
+            .par_chunks(channels.saturating_mul(ROWS))
             .flat_map_iter(|rows| {
                 rows.chunks_exact(channels).map(|row| inverse_norm(dot_rows(row, row, from_half)))
             })
             .collect();
-        Ok(SplatFeatures { channels, halves, unit, inverse_norms, on_device: None })
+        SplatFeatures { rows, inverse_norms, on_device: None }
     }
 
     /// Uploads the values to an engine that keeps them on its device: similarities are then computed there.
     pub fn upload(&mut self, engine: &dyn Rasterizer) -> Result<(), SegmentError> {
         self.on_device = None;
-        if !engine.keeps_channels(self.len(), self.channels) {
+        if !engine.keeps_channels(self.len(), self.channels()) {
             return Ok(());
         }
         // As they are kept: a cosine has no unit.
-        let values: Vec<f32> = self.halves.par_iter().map(|&half| from_half(half)).collect();
-        let channels = Channels { count: self.channels, values: &values };
+        let values: Vec<f32> = self.rows.halves().par_iter().map(|&half| from_half(half)).collect();
+        let channels = Channels { count: self.channels(), values: &values };
         self.on_device = engine.upload_channels(&channels).map_err(SegmentError::raster("the features"))?;
         Ok(())
     }
 
     /// Numbers per splat.
     pub fn channels(&self) -> usize {
-        self.channels
+        self.rows.channels()
     }
 
     /// Bytes that they take in the host's memory.
     pub fn bytes(&self) -> usize {
-        size_of_val(self.halves.as_slice()) + size_of_val(self.inverse_norms.as_slice())
+        size_of_val(self.rows.halves()) + size_of_val(self.inverse_norms.as_slice())
     }
 
     /// Number of splats.
@@ -94,23 +89,19 @@ impl SplatFeatures {
 
     /// The values as they were rounded, `[splat][channel]`, flat.
     pub fn values(&self) -> Vec<f32> {
-        self.halves.par_iter().map(|&half| from_half(half) * self.unit).collect()
+        self.rows.values()
     }
 
     /// One splat's vector.
     pub fn row(&self, splat: usize) -> Vec<f32> {
-        self.halves_of(splat).iter().map(|&half| from_half(half) * self.unit).collect()
-    }
-
-    fn halves_of(&self, splat: usize) -> &[u16] {
-        &self.halves[splat * self.channels..(splat + 1) * self.channels]
+        self.rows.row(splat)
     }
 
     /// Cosine of two splats' vectors, in [-1, 1]; 0 where one has no direction.
     pub fn cosine(&self, a: usize, b: usize) -> f32 {
         let scale = self.inverse_norms[a] * self.inverse_norms[b];
         if scale > 0.0 {
-            (dot_rows(self.halves_of(a), self.halves_of(b), from_half) * scale).clamp(-1.0, 1.0)
+            (dot_rows(self.rows.halves_of(a), self.rows.halves_of(b), from_half) * scale).clamp(-1.0, 1.0)
         } else {
             0.0
         }
@@ -124,12 +115,13 @@ impl SplatFeatures {
     /// Adds `weight` times a splat's unit vector.
     pub(crate) fn add_direction(&self, splat: usize, weight: f32, sum: &mut [f32]) {
         let scale = weight * self.inverse_norms[splat];
-        sum.iter_mut().zip(self.halves_of(splat)).for_each(|(sum, &half)| *sum += scale * from_half(half));
+        let row = self.rows.halves_of(splat);
+        sum.iter_mut().zip(row).for_each(|(sum, &half)| *sum += scale * from_half(half));
     }
 
     /// Cosine of a splat's vector and a unit vector.
     pub(crate) fn cosine_to(&self, splat: usize, unit: &[f32]) -> f32 {
-        dot_rows(self.halves_of(splat), unit, |x| x) * self.inverse_norms[splat]
+        dot_rows(self.rows.halves_of(splat), unit, |x| x) * self.inverse_norms[splat]
     }
 
     /// Fused similarity of every splat to some clicks: `sum_i softmax_i(s_i / temperature) s_i`, `s_i` the cosine to click
@@ -178,7 +170,7 @@ impl SplatFeatures {
             }
         }
         let mut fused = vec![0.0; self.len()];
-        let rows = self.halves.par_chunks(ROWS * channels).zip(self.inverse_norms.par_chunks(ROWS));
+        let rows = self.rows.halves().par_chunks(ROWS * channels).zip(self.inverse_norms.par_chunks(ROWS));
         fused.par_chunks_mut(ROWS).zip(rows).for_each_init(
             Vec::new,
             |values: &mut Vec<f32>, (out, (halves, norms))| {
@@ -189,18 +181,6 @@ impl SplatFeatures {
         );
         Ok(fused)
     }
-}
-
-/// The power of two in units of which the largest number of the usual rows is about 2^[`LARGEST`]; 1 where all rows are zero or no
-/// numbers. Quotients by it are exact, as far as 32 bits have them.
-fn unit_of(channels: usize, values: &[f32]) -> f32 {
-    let largest = |row: &[f32]| row.iter().fold(0.0f32, |largest, value| largest.max(value.abs()));
-    let mut rows: Vec<f32> =
-        values.par_chunks(channels).map(largest).filter(|row| row.is_finite() && *row > 0.0).collect();
-    let Some(last) = rows.len().checked_sub(1) else { return 1.0 };
-    let (_, usual, _) = rows.select_nth_unstable_by((last as f64 * USUAL_ROWS) as usize, f32::total_cmp);
-    let exponent = (usual.to_bits() >> 23) as i32 - 127;
-    f32::from_bits((((exponent - LARGEST).clamp(-126, 127) + 127) as u32) << 23)
 }
 
 /// Dot product of a row of 16-bit numbers and another row, whose numbers `read` gives. The order of additions is fixed.

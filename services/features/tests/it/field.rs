@@ -4,7 +4,7 @@ use crate::support::{cosine, noise, set};
 use glam::Vec3;
 use segwild_features::{
     Compression, FeatureColours, FeatureError, FeatureField, FeatureSettings, Lifted, Lifter, Pca, Progress,
-    TargetSource, ViewTarget, build,
+    TargetSource, ViewTarget, WideFeatureField, build,
 };
 use segwild_objective::field::embedding_loss;
 use segwild_raster::{Channels, CpuEngine, ProjectOptions, Rasterizer};
@@ -132,7 +132,7 @@ fn try_field(
 /// Mean feature of a card's splats.
 fn mean(cards: &Cards, field: &FeatureField, card: usize) -> Vec<f32> {
     let of: Vec<usize> = (0..field.len()).filter(|&i| cards.card[i] == card).collect();
-    (0..field.channels)
+    (0..field.channels())
         .map(|k| of.iter().map(|&i| field.feature(i)[k]).sum::<f32>() / of.len() as f32)
         .collect()
 }
@@ -188,7 +188,7 @@ fn lifted_features_tell_the_cards_apart_and_leave_geometry_alone() {
     assert!(cosine(&a, &b) < 0.5, "{}", cosine(&a, &b));
     let centre = (0..field.len()).filter(|&i| cards.card[i] == 0 && cards.splats.means[i][0].abs() < 0.7);
     for i in centre.filter(|&i| cards.splats.means[i][0] < -0.3 && cards.splats.means[i][1].abs() < 0.3) {
-        assert!(cosine(field.feature(i), &a) > 0.9, "{i}");
+        assert!(cosine(&field.feature(i), &a) > 0.9, "{i}");
     }
     let lengths = field.inverse_lengths();
     assert!((0..field.len()).all(|i| {
@@ -262,7 +262,7 @@ fn compactness_parts_what_the_embedding_cannot() {
         let field = field(&cards, &alike, &pca, settings);
         let (a, b) = (mean(&cards, &field, 0), mean(&cards, &field, 1));
         let front = (0..field.len()).filter(|&i| cards.card[i] == 0);
-        let near = front.filter(|&i| cosine(field.feature(i), &a) > 0.95).count();
+        let near = front.filter(|&i| cosine(&field.feature(i), &a) > 0.95).count();
         (cosine(&a, &b), near as f64 / 256.0)
     };
     let strong = FeatureSettings { weight_embedding: 0.0, weight_compact: 1.0, ..settings(500) };
@@ -337,6 +337,35 @@ fn the_same_bytes_whatever_threads_and_memory() {
 }
 
 #[test]
+fn a_field_of_32_bits_is_rounded_and_one_whose_parts_do_not_fit_is_refused() {
+    let cards = cards(6);
+    let pca = pca(&cards, 3);
+    let values: Vec<f32> = (0..120).map(|i| ((i * 37 % 101) as f32 - 50.0) * 1e-2).collect();
+    let wide = |channels: usize, values: &[f32]| WideFeatureField {
+        channels,
+        values: values.to_vec(),
+        pca: pca.clone(),
+        decoder: pca.decoder(),
+    };
+    let field = FeatureField::try_from(wide(3, &values)).unwrap();
+    assert_eq!((field.channels(), field.len()), (3, 40));
+    assert!(field.values().iter().zip(&values).all(|(a, b)| (a - b).abs() <= b.abs() / 2048.0));
+    field.check().unwrap();
+    // What was rounded is not rounded again.
+    assert_eq!(FeatureField::try_from(wide(3, &field.values())).unwrap(), field);
+    for channels in [0, 7, usize::MAX] {
+        assert!(FeatureField::try_from(wide(channels, &values)).is_err(), "{channels}");
+    }
+    let other = FeatureField::try_from(wide(4, &values)).unwrap();
+    assert!(other.check().is_err(), "four channels, and a decoder of three");
+    // A splat with a number that is none has no feature.
+    let spoiled = [&values[..4], &[f32::NAN], &values[5..]].concat();
+    let field = FeatureField::try_from(wide(3, &spoiled)).unwrap();
+    assert_eq!(field.feature(1), [0.0; 3]);
+    assert_eq!((field.inverse_lengths()[1], field.feature(0).len()), (0.0, 3));
+}
+
+#[test]
 fn the_learned_decoder_serves_as_well() {
     let cards = cards(12);
     let pca = pca(&cards, 8);
@@ -376,7 +405,7 @@ fn poison_is_refused_by_name_or_has_no_part() {
     assert!(refused(&|t| t.camera.width = 0).contains("no pixels"));
     assert!(refused(&|t| t.masks.masks[0].mask = Mask::empty(3, 3)).contains("3x3"));
 
-    let finite = |f: &FeatureField| f.values.iter().all(|v| v.is_finite());
+    let finite = |f: &FeatureField| f.values().iter().all(|v| v.is_finite());
     // All-zero masks, no masks, masks over everything, a photo nothing of which is trusted, tiny targets.
     assert!(finite(&with(&|t| t.masks = set(96, 64, vec![Mask::empty(96, 64); 3])).unwrap()));
     assert!(finite(&with(&|t| t.masks = set(0, 0, vec![])).unwrap()));
@@ -388,10 +417,10 @@ fn poison_is_refused_by_name_or_has_no_part() {
         .map(|t| Arc::new(ViewTarget { validity: Image::zeros(1, 1, 1), ..ViewTarget::clone(t) }))
         .collect();
     assert!(
-        field(&cards, &dark, &pca, &settings(8)).values.iter().all(|&v| v == 0.0),
+        field(&cards, &dark, &pca, &settings(8)).values().iter().all(|&v| v == 0.0),
         "distrusted everywhere: nothing is learnt"
     );
-    assert!(field(&cards, &[], &pca, &settings(8)).values.iter().all(|&v| v == 0.0), "no photo");
+    assert!(field(&cards, &[], &pca, &settings(8)).values().iter().all(|&v| v == 0.0), "no photo");
     let none = Cards { splats: Splats::default(), card: vec![], embeddings: vec![] };
     assert!(field(&none, &good, &pca, &settings(8)).is_empty(), "no splat");
 
@@ -452,7 +481,7 @@ fn different_features_have_different_colours() {
     let field = field_after(&cards, &pca, 0);
     let engine = CpuEngine::new();
     let projected = engine.project(&cards.splats, &camera(), &pose(1), &ProjectOptions::default()).unwrap();
-    let frame = projected.blend(&field.channels()).unwrap();
+    let frame = projected.blend_resident(&field.resident_channels()).unwrap();
     let colours = FeatureColours::of(&field).unwrap().paint(&frame);
     assert_eq!((colours.width, colours.height, colours.channels), (96, 64, 3));
     assert!(colours.data.iter().all(|v| (0.0..=1.0).contains(v)));
@@ -462,10 +491,14 @@ fn different_features_have_different_colours() {
     assert!(far(at(left), at(right)) > 0.5, "{:?} {:?}", at(left), at(right));
     assert_eq!(std::array::from_fn(|c| colours.at(c, 0, 0)), [0.0; 3], "nothing there");
     // One feature everywhere, or none, is grey or black, not an error.
-    let flat = FeatureField { values: vec![0.5; field.values.len()], ..field.clone() };
-    let frame = projected.blend(&flat.channels()).unwrap();
+    let of = |value: f32| {
+        let values = vec![value; field.len() * field.channels()];
+        FeatureField::rounded(field.channels(), &values, pca.clone(), pca.decoder()).unwrap()
+    };
+    let flat = of(0.5);
+    let frame = projected.blend_resident(&flat.resident_channels()).unwrap();
     assert_eq!(FeatureColours::of(&flat).unwrap().paint(&frame).at(0, 30, 32), 0.5);
-    let zero = FeatureField { values: vec![0.0; field.values.len()], ..field };
-    let frame = projected.blend(&zero.channels()).unwrap();
+    let zero = of(0.0);
+    let frame = projected.blend_resident(&zero.resident_channels()).unwrap();
     assert!(FeatureColours::of(&zero).unwrap().paint(&frame).data.iter().all(|&v| v == 0.0));
 }

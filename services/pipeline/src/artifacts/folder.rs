@@ -26,8 +26,8 @@
 
 use crate::artifacts::images::ImageFiles;
 use crate::{RunError, Settings};
-use segwild_features::FeatureField;
-use segwild_flow::codec::StreamedRecord;
+use segwild_features::{FeatureError, FeatureField, WideFeatureField};
+use segwild_flow::codec::{CodecError, StreamedRecord};
 use segwild_flow::files::Stray;
 use segwild_flow::ledger::{CheckpointRow, State};
 use segwild_flow::{Cache, FileError, Ledger, codec, files};
@@ -44,7 +44,9 @@ use std::sync::Arc;
 /// Kind of the record in `model.bin`, and of models in the cache.
 pub(crate) const MODEL: &str = "model";
 /// Kind of the record in `features.bin`, and of fields in the cache.
-pub(crate) const FEATURES: &str = "features";
+pub(crate) const FEATURES: &str = "features/2";
+/// Kind of the record in `features.bin` of earlier versions, whose numbers have 32 bits.
+const WIDE_FEATURES: &str = "features";
 /// Kind of the records of checkpoints.
 pub(crate) const CHECKPOINT: &str = "checkpoint";
 /// The folder of the timelines of earlier processes and of selections.
@@ -464,16 +466,39 @@ impl RunFolder {
         let model: Model = self.read_record("model.bin", MODEL)?;
         model.check().map_err(|e| self.broken("model.bin", format!("{e}; `segwild run` writes it again")))?;
         let scene = self.scene_of(&settings, &model)?;
-        let field = match self.path.join("features.bin").is_file() {
-            true => Some(self.read_record::<FeatureField>("features.bin", FEATURES)?),
-            false => None,
-        };
-        if let Some(field) = &field {
-            let again = |e| self.broken("features.bin", format!("{e}; `segwild run` writes it again"));
-            field.check().map_err(again)?;
-        }
-        let field = field.filter(|f| f.len() == model.splats.len());
+        let field = self.field()?.filter(|f| f.len() == model.splats.len());
         Ok(Loaded { settings, scene, model, field })
+    }
+
+    /// The feature field, if that stage was done. One of an earlier version is rounded as the field of a run is.
+    fn field(&self) -> Result<Option<FeatureField>, RunError> {
+        const NAME: &str = "features.bin";
+        if !self.path.join(NAME).is_file() {
+            return Ok(None);
+        }
+        let again = |e: FeatureError| self.broken(NAME, format!("{e}; `segwild run` writes it again"));
+        let field = match self.read_record::<FeatureField>(NAME, FEATURES) {
+            Err(RunError::Record { source: CodecError::Kind { found, .. }, .. })
+                if found == WIDE_FEATURES =>
+            {
+                let wide: WideFeatureField = self.read_record(NAME, WIDE_FEATURES)?;
+                FeatureField::try_from(wide).map_err(again)?
+            }
+            Err(RunError::Record { source: CodecError::Kind { found, .. }, .. })
+                if found.starts_with("features/") =>
+            {
+                return Err(self.broken(
+                    NAME,
+                    format!(
+                        "it is a feature field of the format `{found}`, and this program reads `{WIDE_FEATURES}` and `{FEATURES}`: use \
+                         the version that wrote it, or delete the file and run again"
+                    ),
+                ));
+            }
+            read => read?,
+        };
+        field.check().map_err(again)?;
+        Ok(Some(field))
     }
 
     /// The photos and cameras of a run, trained or not.
@@ -550,6 +575,7 @@ impl RunFolder {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use segwild_features::{FeatureDecoder, Pca};
 
     fn run() -> (tempfile::TempDir, RunFolder) {
         let dir = tempfile::tempdir().unwrap();
@@ -570,6 +596,70 @@ mod tests {
         let message = read(&folder);
         assert!(message.contains("cannot read") && message.contains("it is a folder"), "{message}");
         assert!(!message.contains("not done yet"), "{message}");
+    }
+
+    /// A field of one channel, as earlier versions wrote it.
+    fn wide(values: Vec<f32>) -> WideFeatureField {
+        let pca = Pca {
+            embedding_channels: 1,
+            channels: 1,
+            mean: vec![0.0],
+            basis: vec![1.0],
+            scale: 1.0,
+            variances: vec![1.0],
+            total_variance: 1.0,
+        };
+        let decoder =
+            FeatureDecoder { channels: 1, embedding_channels: 1, weights: vec![1.0], bias: vec![0.0] };
+        WideFeatureField { channels: 1, values, pca, decoder }
+    }
+
+    #[test]
+    fn features_are_read_as_they_were_made_and_those_of_earlier_versions_become_the_same() {
+        let (_dir, folder) = run();
+        assert_eq!(folder.field().unwrap(), None);
+        let values: Vec<f32> = (0..4000).map(|i| ((i * 7919 % 1013) as f32 - 500.0) * 1e-3).collect();
+        let field = FeatureField::try_from(wide(values.clone())).unwrap();
+        folder.write_record("features.bin", FEATURES, &field).unwrap();
+        assert_eq!(folder.field().unwrap().as_ref(), Some(&field));
+        let bytes = || std::fs::read(folder.path().join("features.bin")).unwrap();
+        let narrow = bytes();
+        folder.write_record("features.bin", WIDE_FEATURES, &wide(values.clone())).unwrap();
+        let wide = bytes();
+        // Two bytes less for each number; the unit and the longer kind take six.
+        assert_eq!(wide.len() - narrow.len(), 2 * values.len() - 6);
+        let (kind, payload) = codec::open(&wide).unwrap();
+        let starts = [&1u64.to_le_bytes()[..], &4000u64.to_le_bytes(), &values[0].to_le_bytes()].concat();
+        assert_eq!((kind, &payload[..20]), ("features", &starts[..]));
+        assert_eq!(folder.field().unwrap(), Some(field));
+    }
+
+    #[test]
+    fn features_that_are_cut_short_too_long_forged_or_of_a_later_format_are_refused_and_their_file_named() {
+        let (_dir, folder) = run();
+        let file = folder.path().join("features.bin");
+        let refused = |bytes: &[u8], words: &str| {
+            std::fs::write(&file, bytes).unwrap();
+            let message = folder.field().unwrap_err().to_string();
+            assert!(message.contains("features.bin") && message.contains(words), "{words}: {message}");
+        };
+        let values = || wide(vec![0.5; 40]);
+        let field = FeatureField::try_from(values()).unwrap();
+        let narrow = codec::encode(FEATURES, &field).unwrap();
+        for bytes in [narrow, codec::encode(WIDE_FEATURES, &values()).unwrap()] {
+            refused(&bytes[..bytes.len() - 1], "cut short");
+            refused(&bytes[..30], "cut short");
+            refused(&[&bytes[..], &[0]].concat(), "too many");
+        }
+        refused(&codec::encode("features/3", &field).unwrap(), "the version that wrote it");
+        refused(&codec::encode("model", &field).unwrap(), "`model`");
+        let odd = WideFeatureField { channels: 7, ..values() };
+        refused(&codec::encode(WIDE_FEATURES, &odd).unwrap(), "do not fit 7 channels");
+        let other = WideFeatureField { channels: 2, ..values() };
+        let other = FeatureField::try_from(other).unwrap();
+        refused(&codec::encode(FEATURES, &other).unwrap(), "do not fit each other");
+        // Two GiB of numbers.
+        refused(&codec::encode(FEATURES, &(1u64, 1.0f32, 1u64 << 30)).unwrap(), "is damaged");
     }
 
     #[cfg(unix)]

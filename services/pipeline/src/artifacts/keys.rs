@@ -18,6 +18,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Raised when the bytes that a stage makes from the same input change.
 const FORMAT: u32 = 5;
+/// The same for the feature field alone.
+const FIELD: u32 = 6;
 /// The same for the training, whose rules change most often: skies and embeddings, which cost most, stay.
 const TRAINING: u32 = 10;
 
@@ -210,7 +212,7 @@ impl KeyInputs<'_> {
 
     fn features(&self, geometry: &Key, embedding: &[Key], masks: &[Key]) -> Key {
         let mut features = Key::of("features")
-            .value("format", FORMAT)
+            .value("format", FIELD)
             .part("settings", text::<FeatureSettings>(self.settings))
             .key("geometry", geometry);
         for (i, embedding) in embedding.iter().enumerate() {

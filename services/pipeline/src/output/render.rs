@@ -358,7 +358,7 @@ const TINT: [f32; 3] = [1.0, 0.35, 0.1];
 pub(crate) const HIGHLIGHT: f32 = 0.45;
 
 /// Renders one scene, with one selection and one kind of content.
-pub(crate) struct SceneRenderer<'a> {
+pub(crate) struct SceneRenderer {
     model: Model,
     /// Per splat, whether it is of the selection.
     whose: Option<Vec<bool>>,
@@ -366,28 +366,28 @@ pub(crate) struct SceneRenderer<'a> {
     highlight: Option<ResidentChannels<'static>>,
     only: bool,
     what: RenderContent,
-    features: Option<(ResidentChannels<'a>, FeatureColours)>,
+    features: Option<(ResidentChannels<'static>, FeatureColours)>,
 }
 
-impl<'a> SceneRenderer<'a> {
+impl SceneRenderer {
     /// Uploads what every render blends to the engine's device.
     pub(crate) fn new(
-        loaded: &'a Loaded,
+        loaded: &Loaded,
         selected: Option<(Selected, Mode)>,
         what: RenderContent,
         engine: &dyn Rasterizer,
-    ) -> Result<SceneRenderer<'a>, RunError> {
+    ) -> Result<SceneRenderer, RunError> {
         Self::with(loaded, selected, None, what, engine)
     }
 
     /// The same; `without` is what is known of the scene without the selection, for [`Mode::Without`].
     fn with(
-        loaded: &'a Loaded,
+        loaded: &Loaded,
         selected: Option<(Selected, Mode)>,
         without: Option<&SceneWithout>,
         what: RenderContent,
         engine: &dyn Rasterizer,
-    ) -> Result<SceneRenderer<'a>, RunError> {
+    ) -> Result<SceneRenderer, RunError> {
         let mut model = loaded.model.clone();
         let (mut whose, mut highlight, mut only) = (None, None, false);
         if let Some((selected, mode)) = selected {

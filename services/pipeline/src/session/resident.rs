@@ -138,7 +138,7 @@ impl Session {
         let engine = choose_engine(&made_with.run, log_loss)?.engine;
         let features = match field {
             Some(field) => {
-                let mut features = SplatFeatures::new(field.channels, field.values)?;
+                let mut features = SplatFeatures::of(field.rows);
                 features.upload(&*engine)?;
                 Some(Arc::new(features))
             }

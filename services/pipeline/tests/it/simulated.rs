@@ -296,20 +296,17 @@ fn model(scene: &Scene) -> Model {
 
 /// A field of one channel.
 fn field(splats: usize) -> FeatureField {
-    FeatureField {
+    let pca = Pca {
+        embedding_channels: 1,
         channels: 1,
-        values: vec![0.5; splats],
-        pca: Pca {
-            embedding_channels: 1,
-            channels: 1,
-            mean: vec![0.0],
-            basis: vec![1.0],
-            scale: 1.0,
-            variances: vec![1.0],
-            total_variance: 1.0,
-        },
-        decoder: FeatureDecoder { channels: 1, embedding_channels: 1, weights: vec![1.0], bias: vec![0.0] },
-    }
+        mean: vec![0.0],
+        basis: vec![1.0],
+        scale: 1.0,
+        variances: vec![1.0],
+        total_variance: 1.0,
+    };
+    let decoder = FeatureDecoder { channels: 1, embedding_channels: 1, weights: vec![1.0], bias: vec![0.0] };
+    FeatureField::rounded(1, &vec![0.5; splats], pca, decoder).expect("numbers that fit")
 }
 
 /// Writes a scene of [`PHOTOS`] photos, side by side.

@@ -23,10 +23,10 @@ fn draw(run: &Path) {
 }
 
 macro_rules! run_record {
-    ($name:ident, $target:literal, $file:literal) => {
+    ($name:ident, $target:literal, $file:literal, $seeds:expr) => {
         pub(super) const $name: FuzzTarget = FuzzTarget {
             name: $target,
-            seeds: || vec![take(&run().join($file))],
+            seeds: $seeds,
             words: &[],
             seal: seal::record,
             read: |bytes| {
@@ -39,8 +39,17 @@ macro_rules! run_record {
     };
 }
 
-run_record!(MODEL, "model_bin", "model.bin");
-run_record!(FEATURES, "features_bin", "features.bin");
+run_record!(MODEL, "model_bin", "model.bin", || vec![take(&run().join("model.bin"))]);
+run_record!(FEATURES, "features_bin", "features.bin", feature_seeds);
+
+/// The run's feature field, and the same as earlier versions wrote it: with numbers of 32 bits and no unit.
+fn feature_seeds() -> Vec<Vec<u8>> {
+    let loaded = RunFolder::at(run()).load().unwrap_or_else(|e| panic!("{e}"));
+    let field = loaded.field.unwrap_or_else(|| panic!("the run has no features"));
+    let wide = (field.channels(), field.values(), field.pca, field.decoder);
+    let wide = codec::encode("features", &wide).unwrap_or_else(|e| panic!("{e}"));
+    vec![take(&run().join("features.bin")), wide]
+}
 
 pub(super) const SELECTION: FuzzTarget = FuzzTarget {
     name: "selection_bin",

@@ -130,7 +130,7 @@ fn figures(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
     }
     if let Some(field) = &loaded.field {
         let kept = 100.0 * field.pca.explained_variance();
-        row("features", format!("{} channels, {kept:.1} % of the embedding's variance", field.channels));
+        row("features", format!("{} channels, {kept:.1} % of the embedding's variance", field.channels()));
     }
     let mut text = format!("<h2>Figures</h2>{}", html::table(&rows));
     if let Ok(held) = folder.read_json::<HeldOut>("evaluation.json")
