@@ -11,9 +11,9 @@
 //! It makes points, no meshes and no depth maps to keep.
 //!
 //! ```
-//! use glam::{DVec3, Vec2, Vec3};
+//! use glam::{Vec2, Vec3};
 //! use segwild_mvs::{StereoImage, points};
-//! use segwild_scene::{Camera, Image, Observation, Photo, Point, Pose, Scene, SceneFrame, View};
+//! use segwild_scene::{Camera, Image, Observation, Photo, Point, Pose, Scene, View};
 //!
 //! // Four cameras before a wall at z = 1, on which no two spots look alike.
 //! let camera = Camera { width: 72, height: 54, fx: 60.0, fy: 60.0, cx: 36.0, cy: 27.0 };
@@ -21,10 +21,8 @@
 //! let views: Vec<View> = (0..4)
 //!     .map(|i| {
 //!         let eye = Vec3::new(0.2 * i as f32 - 0.3, 0.0, -0.5);
-//!         let (path, seal, reading) = ("".into(), Default::default(), Default::default());
-//!         let photo = Photo { path, ignore: None, usable: None, lens: None, seal, reading };
 //!         let pose = Pose::look_at(eye, eye + Vec3::Z, Vec3::NEG_Y);
-//!         View { name: format!("{i}.jpg"), camera, pose, photo, test: false }
+//!         View { name: format!("{i}.jpg"), camera, pose, photo: Photo::new(""), test: false }
 //!     })
 //!     .collect();
 //! let on_wall = |view: &View, pixel: Vec2| {
@@ -46,8 +44,8 @@
 //!     });
 //!     Point { position, colour: [0.5; 3], track: track.collect() }
 //! });
-//! let (points_before, frame) = (few.collect(), SceneFrame { origin: DVec3::ZERO, scale: 1.0 });
-//! let scene = Scene { views, points: points_before, skipped: vec![], notes: vec![], frame, imported: None };
+//! let few = few.collect();
+//! let scene = Scene::new(views, few);
 //!
 //! let found = points(&scene, &[0, 1, 2, 3], images, 1000, 1, &|| false).expect("nobody stops it");
 //! assert!(found.len() > 300, "{}", found.len());

@@ -1,10 +1,8 @@
 //! A wall and a floor whose depths are known, seen by photos of different brightness.
 
-use glam::{DVec3, Vec2, Vec3};
+use glam::{Vec2, Vec3};
 use segwild_mvs::{StereoImage, points};
-use segwild_scene::{
-    Camera, Image, Mask, Observation, Photo, Point, Pose, Random, Scene, SceneFrame, Seal, View,
-};
+use segwild_scene::{Camera, Image, Mask, Observation, Photo, Point, Pose, Random, Scene, View};
 
 const W: u32 = 144;
 const H: u32 = 108;
@@ -42,14 +40,7 @@ fn world(light: impl Fn(usize) -> f32) -> (Scene, Vec<StereoImage>) {
                 name: format!("{i}.jpg"),
                 camera: camera(),
                 pose: Pose::look_at(eye, Vec3::new(0.0, 0.2, 0.8), Vec3::NEG_Y),
-                photo: Photo {
-                    path: "none".into(),
-                    ignore: None,
-                    usable: None,
-                    lens: None,
-                    seal: Seal::default(),
-                    reading: Default::default(),
-                },
+                photo: Photo::new("none"),
                 test: false,
             }
         })
@@ -80,8 +71,7 @@ fn world(light: impl Fn(usize) -> f32) -> (Scene, Vec<StereoImage>) {
             StereoImage { image, usable: None }
         })
         .collect();
-    let frame = SceneFrame { origin: DVec3::ZERO, scale: 1.0 };
-    (Scene { views, points: sown, skipped: vec![], notes: vec![], frame, imported: None }, images)
+    (Scene::new(views, sown), images)
 }
 
 fn found(scene: &Scene, images: Vec<StereoImage>, most: usize) -> Vec<Point> {

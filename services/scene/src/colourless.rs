@@ -21,10 +21,9 @@ impl Scene {
     /// `None` where the points are coloured.
     ///
     /// ```
-    /// # use segwild_scene::{DARKEST, SceneFrame, Point, Scene};
+    /// # use segwild_scene::{DARKEST, Point, Scene};
     /// # let point = |colour| Point { position: glam::Vec3::ZERO, colour, track: vec![] };
-    /// # let frame = SceneFrame { origin: glam::DVec3::ZERO, scale: 1.0 };
-    /// # let of = |points| Scene { views: vec![], points, skipped: vec![], notes: vec![], frame, imported: None };
+    /// # let of = |points| Scene::new(vec![], points);
     /// let coloured = (0..10).map(|i| point([0.1 * i as f32; 3])).collect();
     /// assert_eq!(of(coloured).colourless(), None);
     /// assert_eq!(of(vec![point([DARKEST; 3]); 10]).colourless(), Some([DARKEST; 3]));

@@ -132,18 +132,11 @@ fn interpolated(square: &[[f64; 2]; 4], s: f64, t: f64) -> [f64; 2] {
 mod tests {
     use super::*;
     use crate::colmap::CameraModel;
-    use crate::{Photo, Pose, Seal};
+    use crate::{Photo, Pose};
     use glam::Vec3;
 
     fn view(lens: Lens) -> View {
-        let photo = Photo {
-            path: "a.jpg".into(),
-            ignore: None,
-            usable: None,
-            lens: Some(lens.clone()),
-            seal: Seal::default(),
-            reading: Default::default(),
-        };
+        let photo = Photo { lens: Some(lens.clone()), ..Photo::new("a.jpg") };
         let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
         View { name: "a.jpg".into(), camera: lens.pinhole(), pose, photo, test: false }
     }

@@ -3,8 +3,8 @@
 use crate::decode::{MEGAPIXELS, pixels_of};
 use crate::names::{key, last_part, stem};
 use crate::naming::first_named;
-use crate::{Camera, ImportedSplats, NEAR, Pose, SceneFrame};
-use glam::{Vec2, Vec3};
+use crate::{Camera, ImportedSplats, NEAR, Pose, SceneFrame, Seal};
+use glam::{DVec3, Vec2, Vec3};
 use std::collections::HashMap;
 use std::path::PathBuf;
 
@@ -20,9 +20,17 @@ pub struct Photo {
     /// The lens as the reconstruction saw it, when the photo has to be undistorted on load.
     pub lens: Option<crate::lens::Lens>,
     /// The files as they were when the scene was opened.
-    pub seal: crate::Seal,
+    pub seal: Seal,
     /// How the file is read.
     pub reading: Reading,
+}
+
+impl Photo {
+    /// The photo of a file without masks and without a lens. Its seal is on no file: it may change while it is used.
+    pub fn new(path: impl Into<PathBuf>) -> Photo {
+        let (seal, reading) = (Seal::default(), Reading::default());
+        Photo { path: path.into(), ignore: None, usable: None, lens: None, seal, reading }
+    }
 }
 
 /// How a photo's file is read.
@@ -138,6 +146,13 @@ pub struct Scene {
 }
 
 impl Scene {
+    /// The scene of these photos and points, which lie in the normalised frame. That frame is the file's as well: nothing is
+    /// moved or scaled on export.
+    pub fn new(views: Vec<View>, points: Vec<Point>) -> Scene {
+        let frame = SceneFrame { origin: DVec3::ZERO, scale: 1.0 };
+        Scene { views, points, skipped: Vec::new(), notes: Vec::new(), frame, imported: None }
+    }
+
     /// Where points of the reconstruction lie in a view, whether it saw them or not, in pixels of its photo at a size of
     /// `width` x `height`: of at most 8,192, taken evenly, those that three photos and more saw and agree on. Something
     /// stands there, if only before them.
@@ -189,8 +204,6 @@ impl Scene {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Seal;
-    use glam::DVec3;
 
     #[test]
     fn points_lie_in_photos_that_did_not_see_them_where_three_others_agree() {
@@ -200,14 +213,7 @@ mod tests {
                 name: format!("{i}.jpg"),
                 camera,
                 pose: Pose::look_at(Vec3::new(0.2 * i as f32, 0.0, -2.0), Vec3::ZERO, Vec3::NEG_Y),
-                photo: Photo {
-                    path: PathBuf::new(),
-                    ignore: None,
-                    usable: None,
-                    lens: None,
-                    seal: Seal::default(),
-                    reading: Default::default(),
-                },
+                photo: Photo::new(""),
                 test: false,
             })
             .collect();
@@ -227,8 +233,7 @@ mod tests {
             point(Vec3::new(0.0, 0.0, -9.0), 3, 0.0),
             point(Vec3::new(9.0, 0.0, 0.0), 3, 0.0),
         ];
-        let frame = SceneFrame { origin: DVec3::ZERO, scale: 1.0 };
-        let scene = Scene { views, points, skipped: vec![], notes: vec![], frame, imported: None };
+        let scene = Scene::new(views, points);
         let [at] = scene.points_in(3, 200, 160)[..] else { panic!("{:?}", scene.points_in(3, 200, 160)) };
         let wanted = camera.pixel(scene.views[3].pose.to_camera(scene.points[0].position)) * 2.0;
         assert!((Vec2::from(at) - wanted).length() < 1e-3);

@@ -151,7 +151,7 @@ mod tests {
     use super::*;
     use crate::TrainPhoto;
     use glam::Vec3;
-    use segwild_scene::{Image, Observation, Photo, Point, SceneFrame, Seal, View};
+    use segwild_scene::{Image, Observation, Photo, Point, View};
     use std::convert::Infallible;
     use std::sync::Arc;
 
@@ -166,25 +166,10 @@ mod tests {
             name: format!("{i}.jpg"),
             camera: camera(),
             pose: Pose::look_at(Vec3::new(0.1 * i as f32, 0.0, -2.0), Vec3::ZERO, Vec3::NEG_Y),
-            photo: Photo {
-                path: "none".into(),
-                ignore: None,
-                usable: None,
-                lens: None,
-                seal: Seal::default(),
-                reading: Default::default(),
-            },
+            photo: Photo::new("none"),
             test: false,
         };
-        let frame = SceneFrame { origin: glam::DVec3::ZERO, scale: 1.0 };
-        Scene {
-            views: (0..views).map(view).collect(),
-            points,
-            skipped: vec![],
-            notes: vec![],
-            frame,
-            imported: None,
-        }
+        Scene::new((0..views).map(view).collect(), points)
     }
 
     fn point(position: Vec3, colour: [f32; 3], track: &[u32]) -> Point {

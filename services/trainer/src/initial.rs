@@ -219,17 +219,10 @@ fn random_points(eyes: &[&Eye], n: usize, random: &mut Random) -> Vec<Vec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use segwild_scene::{Observation, Point, SceneFrame};
+    use segwild_scene::{Observation, Point};
 
     fn scene(points: Vec<Point>) -> Scene {
-        Scene {
-            views: vec![],
-            points,
-            skipped: vec![],
-            notes: vec![],
-            frame: SceneFrame { origin: glam::DVec3::ZERO, scale: 1.0 },
-            imported: None,
-        }
+        Scene::new(vec![], points)
     }
 
     fn eye(x: f32) -> Option<Eye> {

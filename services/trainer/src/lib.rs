@@ -7,9 +7,9 @@
 //! It makes no masks and no features, and selects nothing. What it minimises is in [`segwild_objective`].
 //!
 //! ```
-//! use glam::{DVec3, Vec2, Vec3};
+//! use glam::{Vec2, Vec3};
 //! use segwild_raster::CpuEngine;
-//! use segwild_scene::{Camera, Image, Photo, Point, Pose, Scene, SceneFrame, View};
+//! use segwild_scene::{Camera, Image, Photo, Point, Pose, Scene, View};
 //! use segwild_trainer::{AppearanceModel, TrainPhoto, TrainSettings, Trainer};
 //! use std::convert::Infallible;
 //! use std::sync::Arc;
@@ -20,18 +20,15 @@
 //! let views: Vec<View> = (0..3)
 //!     .map(|i| {
 //!         let eye = Vec3::new(0.2 * i as f32 - 0.2, 0.0, -0.5);
-//!         let (path, seal, reading) = ("".into(), Default::default(), Default::default());
-//!         let photo = Photo { path, ignore: None, usable: None, lens: None, seal, reading };
 //!         let pose = Pose::look_at(eye, eye + Vec3::Z, Vec3::NEG_Y);
-//!         View { name: format!("{i}.jpg"), camera, pose, photo, test: false }
+//!         View { name: format!("{i}.jpg"), camera, pose, photo: Photo::new(""), test: false }
 //!     })
 //!     .collect();
 //! let points = (0..300).map(|i| {
 //!     let position = Vec3::new(0.1 * (i % 20) as f32 - 0.95, 0.1 * (i / 20) as f32 - 0.7, 1.0);
 //!     Point { position, colour: [wall(position.x); 3], track: vec![] }
 //! });
-//! let frame = SceneFrame { origin: DVec3::ZERO, scale: 1.0 };
-//! let scene = Scene { views, points: points.collect(), skipped: vec![], notes: vec![], frame, imported: None };
+//! let scene = Scene::new(views, points.collect());
 //! let poses: Vec<Pose> = scene.views.iter().map(|view| view.pose).collect();
 //! let photos = Arc::new(move |view: usize| {
 //!     let x = |i: usize| poses[view].centre().x + 1.5 * camera.ray(Vec2::new((i % 48) as f32 + 0.5, 0.0)).x;

@@ -80,7 +80,7 @@ mod tests {
     use super::*;
     use crate::TrainPhoto;
     use glam::Vec3;
-    use segwild_scene::{Camera, Image, Photo, Pose, SceneFrame, Seal, View};
+    use segwild_scene::{Camera, Image, Photo, Pose, View};
     use std::convert::Infallible;
     use std::sync::Arc;
 
@@ -91,24 +91,11 @@ mod tests {
             name: format!("{i}.jpg"),
             camera: Camera { width, height, fx: 4000.0, fy: 4000.0, cx: 2500.0, cy: 10.0 },
             pose: Pose::look_at(Vec3::new(0.1 * i as f32, 0.0, -2.0), Vec3::ZERO, Vec3::NEG_Y),
-            photo: Photo {
-                path: "none".into(),
-                ignore: None,
-                usable: None,
-                lens: None,
-                seal: Seal::default(),
-                reading: Default::default(),
-            },
+            photo: Photo::new("none"),
             test: false,
         };
-        let scene = Scene {
-            views: (0..2).map(view).collect(),
-            points: vec![Point { position: Vec3::ZERO, colour: [0.5; 3], track: vec![] }],
-            skipped: vec![],
-            notes: vec![],
-            frame: SceneFrame { origin: glam::DVec3::ZERO, scale: 1.0 },
-            imported: None,
-        };
+        let point = Point { position: Vec3::ZERO, colour: [0.5; 3], track: vec![] };
+        let scene = Scene::new((0..2).map(view).collect(), vec![point]);
         let strip = move |_: usize| {
             let image = Image::filled(width as usize, height as usize, 3, 0.5);
             Ok::<_, Infallible>(TrainPhoto { image, valid: None, sky: None, transients: None })

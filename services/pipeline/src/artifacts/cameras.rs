@@ -81,18 +81,11 @@ pub(crate) fn write(folder: &RunFolder, scene: &Scene) -> Result<(), RunError> {
 mod tests {
     use super::*;
     use glam::{DMat3, DVec3, Vec3};
-    use segwild_scene::{Camera, Photo, Pose, Seal};
+    use segwild_scene::{Camera, Photo, Pose};
 
     #[test]
     fn a_position_of_the_exported_splats_has_the_pixel_that_it_has_in_the_normalised_frame() {
-        let photo = Photo {
-            path: "a.jpg".into(),
-            ignore: None,
-            usable: None,
-            lens: None,
-            seal: Seal::default(),
-            reading: Default::default(),
-        };
+        let photo = Photo::new("a.jpg");
         let camera = Camera { width: 100, height: 80, fx: 90.0, fy: 95.0, cx: 49.0, cy: 41.0 };
         let pose = Pose::look_at(Vec3::new(0.3, -0.2, -2.0), Vec3::ZERO, Vec3::NEG_Y);
         let view = View { name: "a.jpg".into(), camera, pose, photo, test: false };

@@ -116,25 +116,13 @@ fn evenly(of: usize, most: usize) -> impl Iterator<Item = usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use segwild_scene::{Camera, Observation, Photo, Pose, SceneFrame, Seal};
+    use segwild_scene::{Camera, Observation, Photo, Pose};
 
     /// A photo from `eye`, with `target` in the middle.
     fn photo(path: String, eye: Vec3, target: Vec3) -> View {
         let camera = Camera { width: 200, height: 200, fx: 150.0, fy: 150.0, cx: 100.0, cy: 100.0 };
-        let photo = Photo {
-            path: path.clone().into(),
-            ignore: None,
-            usable: None,
-            lens: None,
-            seal: Seal::default(),
-            reading: Default::default(),
-        };
+        let photo = Photo::new(&path);
         View { name: path, camera, pose: Pose::look_at(eye, target, Vec3::NEG_Y), photo, test: false }
-    }
-
-    fn scene_of(views: Vec<View>, points: Vec<Point>) -> Scene {
-        let frame = SceneFrame { origin: glam::DVec3::ZERO, scale: 1.0 };
-        Scene { views, points, skipped: Vec::new(), notes: Vec::new(), frame, imported: None }
     }
 
     /// So many halls beside one another, each with points on its floor and photos from all sides, of which all but `around` are of
@@ -156,7 +144,7 @@ mod tests {
                 points.push(Point { position, colour: [0.5; 3], track });
             }
         }
-        scene_of(views, points)
+        Scene::new(views, points)
     }
 
     fn left_out_of(scene: &Scene) -> BTreeSet<usize> {
@@ -198,7 +186,7 @@ mod tests {
         let hall = (0..30).map(|i| at((i % 6) as f32 * 0.1 - 0.25, (i / 6) as f32 * 0.1 - 0.2, 0.0));
         let from = |z: f32, i: usize| photo(format!("{i:03}.png"), Vec3::new(0.0, 0.0, z), Vec3::ZERO);
         let views = (0..320).map(|i| from(if i < 300 { -33.0 } else { -3.0 }, i)).collect();
-        let left_out = left_out_of(&scene_of(views, wall.chain(hall).collect()));
+        let left_out = left_out_of(&Scene::new(views, wall.chain(hall).collect()));
         assert_eq!(left_out.len(), 320 - ALL_DESCRIBED);
         assert!(left_out.iter().all(|view| *view < 300), "{left_out:?}");
     }

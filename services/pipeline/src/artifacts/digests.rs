@@ -101,18 +101,12 @@ pub(crate) fn photo_digest(view: &View) -> Result<String, SceneError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use segwild_scene::{Camera, Photo, Pose, Seal};
+    use segwild_scene::{Camera, Photo, Pose};
     use std::path::Path;
 
     fn view(photo: &Path, ignore: Option<&Path>, usable: Option<&Path>) -> View {
-        let photo = Photo {
-            path: photo.to_owned(),
-            ignore: ignore.map(Path::to_owned),
-            usable: usable.map(Path::to_owned),
-            lens: None,
-            seal: Seal::default(),
-            reading: Default::default(),
-        };
+        let [ignore, usable] = [ignore, usable].map(|mask| mask.map(Path::to_owned));
+        let photo = Photo { ignore, usable, ..Photo::new(photo) };
         let camera = Camera { width: 4, height: 3, fx: 4.0, fy: 4.0, cx: 2.0, cy: 1.5 };
         let pose = Pose::look_at(glam::Vec3::NEG_Z, glam::Vec3::ZERO, glam::Vec3::NEG_Y);
         View { name: "0.png".into(), camera, pose, photo, test: false }

@@ -173,7 +173,7 @@ pub(crate) fn seen_once(share: &SeenOnceShare) -> Option<String> {
 mod tests {
     use super::*;
     use glam::Vec3;
-    use segwild_scene::{Camera, Observation, Photo, Point, Pose, SceneFrame, Seal, View};
+    use segwild_scene::{Camera, Observation, Photo, Point, Pose, View};
 
     /// Sixteen cameras on an arc, and points that they see exactly.
     fn arc(radius: f32) -> Scene {
@@ -182,16 +182,8 @@ mod tests {
             .map(|i| {
                 let eye = Vec3::new(radius * (i as f32 / 15.0 - 0.5), 0.0, -4.0);
                 let pose = Pose::look_at(eye, Vec3::ZERO, Vec3::NEG_Y);
-                let path = format!("{i}.png").into();
-                let photo = Photo {
-                    path,
-                    ignore: None,
-                    usable: None,
-                    lens: None,
-                    seal: Seal::default(),
-                    reading: Default::default(),
-                };
-                View { name: format!("{i}.png"), camera, pose, photo, test: false }
+                let name = format!("{i}.png");
+                View { photo: Photo::new(&name), name, camera, pose, test: false }
             })
             .collect();
         let points = (0..40)
@@ -206,14 +198,7 @@ mod tests {
                 Point { position, colour: [0.5; 3], track }
             })
             .collect();
-        Scene {
-            views,
-            points,
-            skipped: Vec::new(),
-            notes: Vec::new(),
-            frame: SceneFrame { origin: glam::DVec3::ZERO, scale: 1.0 },
-            imported: None,
-        }
+        Scene::new(views, points)
     }
 
     #[test]

@@ -214,12 +214,11 @@ fn turned(image: &Image) -> Image {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use segwild_scene::{SceneFrame, WallTime};
+    use segwild_scene::WallTime;
     use segwild_trainer::{Preset, StepSpeed, TrainSettings};
 
     fn scene() -> Scene {
-        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
-        Scene { views: vec![], points: vec![], skipped: vec![], notes: vec![], frame, imported: None }
+        Scene::new(vec![], vec![])
     }
 
     fn with_time(seconds: u32) -> Settings {

@@ -164,18 +164,11 @@ fn read(file: PathBuf, view: &View) -> Result<Correction, CorrectionError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use segwild_scene::{Camera, Photo, Pose, SceneFrame, Seal};
+    use segwild_scene::{Camera, Photo, Pose};
 
     fn view(photo: &Path) -> View {
         let name = photo.file_name().unwrap().to_string_lossy().into_owned();
-        let photo = Photo {
-            path: photo.to_owned(),
-            ignore: None,
-            usable: None,
-            lens: None,
-            seal: Seal::default(),
-            reading: Default::default(),
-        };
+        let photo = Photo::new(photo);
         let camera = Camera { width: 40, height: 30, fx: 40.0, fy: 40.0, cx: 20.0, cy: 15.0 };
         let pose = Pose::look_at(glam::Vec3::NEG_Z, glam::Vec3::ZERO, glam::Vec3::NEG_Y);
         View { name, camera, pose, photo, test: false }
@@ -185,15 +178,7 @@ mod tests {
     fn one_unusable_mask_of_a_named_folder_leaves_out_that_photo_by_name() {
         let dir = tempfile::tempdir().unwrap();
         let views = ["a.jpg", "b.jpg", "c.jpg", "d.jpg"].map(|name| view(&dir.path().join(name))).to_vec();
-        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
-        let scene = Scene {
-            views,
-            points: Vec::new(),
-            skipped: Vec::new(),
-            notes: Vec::new(),
-            frame,
-            imported: None,
-        };
+        let scene = Scene::new(views, Vec::new());
         let (named, run) = (dir.path().join("named"), RunFolder::create(&dir.path().join("run")).unwrap());
         std::fs::create_dir(&named).unwrap();
         Mask::full(40, 30).write_png(&named.join("a.png")).unwrap();

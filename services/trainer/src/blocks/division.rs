@@ -228,8 +228,7 @@ fn is_before(view: &View, position: Vec3) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::DVec3;
-    use segwild_scene::{Camera, Observation, Photo, Point, Pose, Random, SceneFrame, Seal};
+    use segwild_scene::{Camera, Observation, Photo, Point, Pose, Random};
 
     /// A street along x with cameras that face it from one side, and a far outlier; z is up.
     fn street(cameras: usize, points: usize, tracks: bool) -> Scene {
@@ -240,14 +239,7 @@ mod tests {
                 let eye = Vec3::new(i as f32 * 10.0 / cameras as f32, -2.0, 0.5);
                 Pose::look_at(eye, eye + Vec3::Y, Vec3::Z)
             },
-            photo: Photo {
-                path: "none".into(),
-                ignore: None,
-                usable: None,
-                lens: None,
-                seal: Seal::default(),
-                reading: Default::default(),
-            },
+            photo: Photo::new("none"),
             test: false,
         };
         let views: Vec<View> = (0..cameras).map(view).collect();
@@ -261,8 +253,7 @@ mod tests {
             Point { position, colour: [0.5; 3], track }
         };
         let points = (0..points).map(&mut point).collect();
-        let frame = SceneFrame { origin: DVec3::ZERO, scale: 1.0 };
-        Scene { views, points, skipped: vec![], notes: vec![], frame, imported: None }
+        Scene::new(views, points)
     }
 
     #[test]

@@ -143,7 +143,7 @@ mod tests {
     use crate::{AppearanceModel, TrainPhoto};
     use glam::Vec3;
     use segwild_raster::CpuEngine;
-    use segwild_scene::{Camera, Image, Photo, Pose, SceneFrame, View};
+    use segwild_scene::{Camera, Image, Photo, Pose, View};
     use std::convert::Infallible;
 
     #[test]
@@ -162,18 +162,14 @@ mod tests {
         let camera = Camera { width: 48, height: 36, fx: 40.0, fy: 40.0, cx: 24.0, cy: 18.0 };
         let view = |i: usize| {
             let eye = Vec3::new(0.1 * i as f32 - 0.3, 0.0, -0.5);
-            let (path, seal, reading) = ("none".into(), Default::default(), Default::default());
-            let photo = Photo { path, ignore: None, usable: None, lens: None, seal, reading };
             let pose = Pose::look_at(eye, eye + Vec3::Z, Vec3::NEG_Y);
-            View { name: format!("{i}.jpg"), camera, pose, photo, test: i == 6 }
+            View { name: format!("{i}.jpg"), camera, pose, photo: Photo::new("none"), test: i == 6 }
         };
         let points = (0..300).map(|i| {
             let position = Vec3::new(0.1 * (i % 20) as f32 - 0.95, 0.1 * (i / 20) as f32 - 0.7, 1.0);
             Point { position, colour: [0.2 + 0.002 * i as f32; 3], track: vec![] }
         });
-        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
-        let (views, points) = ((0..7).map(view).collect(), points.collect());
-        let scene = Scene { views, points, skipped: vec![], notes: vec![], frame, imported: None };
+        let scene = Scene::new((0..7).map(view).collect(), points.collect());
         let photos: Arc<dyn Photos> = Arc::new(|view: usize| {
             let image = Image::filled(48, 36, 3, 0.3 + 0.05 * view as f32);
             Ok::<_, Infallible>(TrainPhoto { image, valid: None, sky: None, transients: None })

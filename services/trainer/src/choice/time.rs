@@ -361,24 +361,15 @@ mod tests {
     #[test]
     fn the_bounds_go_from_the_steps_of_draft_to_twice_the_scenes_own() {
         use glam::Vec3;
-        use segwild_scene::{Camera, Photo, Pose, SceneFrame, Seal, View};
+        use segwild_scene::{Camera, Photo, Pose, View};
         let view = |i: usize| View {
             name: format!("{i}.jpg"),
             camera: Camera { width: 64, height: 48, fx: 50.0, fy: 50.0, cx: 32.0, cy: 24.0 },
             pose: Pose::look_at(Vec3::X * i as f32, Vec3::X * i as f32 + Vec3::Z, Vec3::NEG_Y),
-            photo: Photo {
-                path: "none".into(),
-                ignore: None,
-                usable: None,
-                lens: None,
-                seal: Seal::default(),
-                reading: Default::default(),
-            },
+            photo: Photo::new("none"),
             test: false,
         };
-        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
-        let views = (0..25).map(view).collect();
-        let scene = Scene { views, points: vec![], skipped: vec![], notes: vec![], frame, imported: None };
+        let scene = Scene::new((0..25).map(view).collect(), vec![]);
         let appearance_model = crate::AppearanceModel::Affine;
         let settings = TrainSettings { appearance_model, ..TrainSettings::default() };
         let decided = settings.decided(&scene);

@@ -1,11 +1,9 @@
 //! Training by blocks: two rooms side by side, with one wall through both.
 
 use crate::wall::{assert_sane, bytes, engine, noise};
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use segwild_raster::{Channels, CpuEngine, ProjectOptions, Rasterizer};
-use segwild_scene::{
-    Camera, DARKEST, NEAR, Observation, Photo, Point, Pose, Scene, SceneFrame, Seal, Splats, View,
-};
+use segwild_scene::{Camera, DARKEST, NEAR, Observation, Photo, Point, Pose, Scene, Splats, View};
 use segwild_trainer::{
     AppearanceModel, DensityKind, Photos, Protocol, TrainPhoto, TrainSettings, Trainer, evaluate,
     trained_share,
@@ -48,14 +46,7 @@ fn scene() -> Scene {
             name: format!("{i:02}.jpg"),
             camera: Camera { width: 48, height: 36, fx: 48.0, fy: 48.0, cx: 24.0, cy: 18.0 },
             pose: Pose::look_at(eye, Vec3::new(x + aside, 0.0, 0.0), Vec3::NEG_Y),
-            photo: Photo {
-                path: "none".into(),
-                ignore: None,
-                usable: None,
-                lens: None,
-                seal: Seal::default(),
-                reading: Default::default(),
-            },
+            photo: Photo::new("none"),
             test: HELD_OUT.contains(&i),
         }
     };
@@ -64,14 +55,7 @@ fn scene() -> Scene {
         colour: [0, 1, 2].map(|k| truth.sh[3 * i + k] * 0.282_094_79 + 0.5),
         track: vec![],
     };
-    Scene {
-        views: (0..VIEWS).map(view).collect(),
-        points: (0..truth.len()).step_by(3).map(point).collect(),
-        skipped: vec![],
-        notes: vec![],
-        frame: SceneFrame { origin: DVec3::ZERO, scale: 1.0 },
-        imported: None,
-    }
+    Scene::new((0..VIEWS).map(view).collect(), (0..truth.len()).step_by(3).map(point).collect())
 }
 
 /// The same as it may come from another program: points without colours, of which every other one has a track, and a

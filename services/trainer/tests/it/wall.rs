@@ -1,9 +1,9 @@
 //! Tiny scenes whose truth is known: a coloured wall with a bump, rendered by the engine itself.
 
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use segwild_objective::Engine;
 use segwild_raster::{Channels, CpuEngine, ProjectOptions, Rasterizer};
-use segwild_scene::{Camera, Image, Mask, Photo, Point, Pose, Scene, SceneFrame, Seal, Splats, View};
+use segwild_scene::{Camera, Image, Mask, Photo, Point, Pose, Scene, Splats, View};
 use segwild_trainer::{AppearanceModel, Checkpoint, Model, Photos, TrainPhoto, TrainSettings, Trainer};
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -57,14 +57,7 @@ pub fn scene(views: usize) -> Scene {
             name: format!("{i:02}.jpg"),
             camera: camera(),
             pose: Pose::look_at(eye, Vec3::new(0.1 * t, 0.1, 0.0), Vec3::NEG_Y),
-            photo: Photo {
-                path: "none".into(),
-                ignore: None,
-                usable: None,
-                lens: None,
-                seal: Seal::default(),
-                reading: Default::default(),
-            },
+            photo: Photo::new("none"),
             test: views > 2 && i == views - 1,
         }
     };
@@ -76,15 +69,7 @@ pub fn scene(views: usize) -> Scene {
             track: vec![],
         })
         .collect();
-    let frame = SceneFrame { origin: DVec3::ZERO, scale: 1.0 };
-    Scene {
-        views: (0..views).map(view).collect(),
-        points,
-        skipped: vec![],
-        notes: vec![],
-        frame,
-        imported: None,
-    }
+    Scene::new((0..views).map(view).collect(), points)
 }
 
 pub const SKY: [f32; 3] = [0.5, 0.7, 0.95];

@@ -80,7 +80,7 @@ mod tests {
     use super::super::within_budget;
     use super::*;
     use glam::Vec3;
-    use segwild_scene::{Camera, Photo, Pose, SceneFrame, Seal, View};
+    use segwild_scene::{Camera, Photo, Pose, View};
 
     /// Cameras in a row.
     fn row() -> Scene {
@@ -88,19 +88,10 @@ mod tests {
             name: format!("{i}.jpg"),
             camera: Camera { width: 64, height: 48, fx: 50.0, fy: 50.0, cx: 32.0, cy: 24.0 },
             pose: Pose::look_at(Vec3::X * i as f32, Vec3::X * i as f32 + Vec3::Z, Vec3::NEG_Y),
-            photo: Photo {
-                path: "none".into(),
-                ignore: None,
-                usable: None,
-                lens: None,
-                seal: Seal::default(),
-                reading: Default::default(),
-            },
+            photo: Photo::new("none"),
             test: false,
         };
-        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
-        let views = (0..200).map(view).collect();
-        Scene { views, points: vec![], skipped: vec![], notes: vec![], frame, imported: None }
+        Scene::new((0..200).map(view).collect(), vec![])
     }
 
     #[test]

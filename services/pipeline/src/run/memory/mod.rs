@@ -361,16 +361,11 @@ pub(crate) fn within_budget(settings: &Settings, scene: &Scene) -> Result<Settin
 mod tests {
     use super::*;
     use glam::Vec3;
-    use segwild_scene::{Camera, Photo, Pose, Reading, SceneFrame, Seal, View};
-
-    fn scene(views: Vec<View>) -> Scene {
-        let frame = SceneFrame { origin: Default::default(), scale: 1.0 };
-        Scene { views, points: vec![], skipped: vec![], notes: vec![], frame, imported: None }
-    }
+    use segwild_scene::{Camera, Photo, Pose, Reading, View};
 
     #[test]
     fn a_budget_is_shared_by_every_cache_that_is_held_at_the_same_time() {
-        let scene = scene(Vec::new());
+        let scene = Scene::new(vec![], vec![]);
         let mut settings = Settings::default();
         settings.train.splats = 1000;
         let MemoryNeed { least_mib, most_mib, .. } = need(&settings, &scene);
@@ -397,17 +392,10 @@ mod tests {
     #[test]
     fn a_budget_holds_fewer_photos_at_once() {
         let camera = Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0 };
-        let photo = Photo {
-            path: "a.jpg".into(),
-            ignore: None,
-            usable: None,
-            lens: None,
-            seal: Seal::default(),
-            reading: Default::default(),
-        };
+        let photo = Photo::new("a.jpg");
         let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
         let view = View { name: "a.jpg".into(), camera, pose, photo, test: false };
-        let scene = scene(vec![view]);
+        let scene = Scene::new(vec![view], vec![]);
         let mut settings = Settings::default();
         settings.run.threads = 16;
         let MemoryNeed { least_mib, most_mib, .. } = need(&settings, &scene);
@@ -426,7 +414,7 @@ mod tests {
 
     #[test]
     fn a_training_larger_than_an_accelerators_memory_is_refused_with_its_size() {
-        let scene = scene(Vec::new());
+        let scene = Scene::new(vec![], vec![]);
         let mut settings = Settings::default();
         settings.train.splats = 1_000_000;
         assert!(fits_accelerator(&settings, &scene).is_ok(), "no budget");
@@ -441,7 +429,7 @@ mod tests {
 
     #[test]
     fn five_million_splats_fit_a_checkpoint_and_more_than_fit_are_refused_before_the_training() {
-        let scene = scene(Vec::new());
+        let scene = Scene::new(vec![], vec![]);
         let mut settings = Settings::default();
         settings.train.splats = 5_000_000;
         fits_records(&settings, &scene).expect("five million splats can be stored");
@@ -460,7 +448,7 @@ mod tests {
 
     #[test]
     fn a_budget_is_not_overrun_by_what_the_allocator_adds_to_the_caches() {
-        let scene = scene(Vec::new());
+        let scene = Scene::new(vec![], vec![]);
         let mut settings = Settings::default();
         settings.run.memory_budget = need(&settings, &scene).least_mib + 100;
         let fitted = within_budget(&settings, &scene).expect("it fits");
@@ -475,21 +463,14 @@ mod tests {
         let camera = Camera { width: 640, height: 480, fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0 };
         let view = |i: usize, mib: u64| {
             let reading = Reading { bytes: mib << 20, ..Default::default() };
-            let path = format!("{i}.jpg");
-            let photo = Photo {
-                path: path.clone().into(),
-                ignore: None,
-                usable: None,
-                lens: None,
-                seal: Seal::default(),
-                reading,
-            };
+            let name = format!("{i}.jpg");
+            let photo = Photo { reading, ..Photo::new(&name) };
             let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
-            View { name: path, camera, pose, photo, test: false }
+            View { name, camera, pose, photo, test: false }
         };
         let of = |mib: [u64; 4]| {
             let views = mib.into_iter().enumerate().map(|(i, mib)| view(i, mib)).collect();
-            scene(views)
+            Scene::new(views, vec![])
         };
         let mut settings = Settings::default();
         settings.run.threads = 2;
