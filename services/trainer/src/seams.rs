@@ -62,7 +62,7 @@ impl SeamResidual {
     }
 
     fn in_words(&self) -> String {
-        format!("{:.1} % there and {:.1} % elsewhere", 100.0 * self.at_seams, 100.0 * self.elsewhere)
+        format!("{:.1} % at seams and {:.1} % elsewhere", 100.0 * self.at_seams, 100.0 * self.elsewhere)
     }
 }
 
@@ -90,7 +90,7 @@ impl SeamCheck {
         match worst {
             None => format!("trained in {blocks} blocks; no photo shows a seam"),
             Some(SeamPhoto { photo, residual }) => format!(
-                "trained in {blocks} blocks; the {photos} photos that show seams differ from the scene by {}, the \
+                "trained in {blocks} blocks; {photos} photos show seams: renders differ from them by {}, and from the \
                  worst, {photo}, by {}",
                 mean.in_words(),
                 residual.in_words()
@@ -163,7 +163,7 @@ mod tests {
         };
         let level = of(&[("a.jpg", 0.03, 0.03), ("b.jpg", 0.035, 0.03), ("c.jpg", 0.09, 0.12)]);
         assert!(!level.stands_out() && level.photos == 3, "{level:?}");
-        let worst = "the worst, b.jpg, by 3.5 % there and 3.0 % elsewhere";
+        let worst = "the worst, b.jpg, by 3.5 % at seams and 3.0 % elsewhere";
         assert!(level.in_words().contains(worst), "{}", level.in_words());
         let seam = of(&[("a.jpg", 0.03, 0.03), ("b.jpg", 0.06, 0.03)]);
         assert!(seam.stands_out() && (seam.mean.at_seams - 0.045).abs() < 1e-6, "{seam:?}");

@@ -173,13 +173,14 @@ pub fn run_scene(
 
 /// Says how it went.
 pub fn tell(summary: &Summary, out: &Path) -> Result<(), Failure> {
-    let memory = summary.peak_bytes.map_or(String::new(), |b| format!(", {} MiB at most", b >> 20));
+    let memory = summary.peak_bytes.map_or(String::new(), |b| format!(", peak memory {} MiB", b >> 20));
     // A run that ended before any splat was there has nothing to say of them.
     let splats = if summary.splats > 0 { format!(", {} splats", summary.splats) } else { String::new() };
-    print_line(&format!("{} photos{splats}, {}{memory}", summary.photos, duration(summary.wall_s)))?;
+    print_line(&format!("{} photos{splats}; {}{memory}", summary.photos, duration(summary.wall_s)))?;
     if let Some(step) = summary.paused_at {
         print_line(&format!(
-            "stopped at step {step} of the training; a later `--until`, or none, goes on from there"
+            "stopped at step {step} of the training, as --until says; the same command with a later --until, or \
+             without it, goes on from there"
         ))?;
     }
     for words in Skipped::in_words(&summary.skipped) {
@@ -195,7 +196,10 @@ pub fn tell(summary: &Summary, out: &Path) -> Result<(), Failure> {
     if let Some(held) = &summary.held_out {
         print_line(&format!("held-out photos: {} ({})", held.in_words(), held.protocol))?;
     }
-    print_line(summary.actors.trim_end())?;
+    if !summary.actors.is_empty() {
+        print_line("where the time went, by actor (they work at the same time):")?;
+        print_line(summary.actors.trim_end())?;
+    }
     let report = out.join("report.html");
     if report.is_file() {
         print_line(&format!("report: {}", report.display()))?;

@@ -37,7 +37,7 @@ fn a_run_leaves_what_other_tools_open() {
     let trained = shared_run.manifest.photos.iter().filter(|p| !p.test).count();
     let (_, of_photos) = report.split_once("<h2>Photos trained on</h2>").expect("the photos' table");
     assert!(of_photos.contains(&format!("<summary>{trained} photos")), "{trained} photos");
-    assert!(report.contains("over every pixel but the sky;") && report.contains("taken for transients"));
+    assert!(report.contains("over all pixels but the sky,") && report.contains("taken for transients"));
     let stdout = works(&["eval", &show(&shared_run.run)]);
     assert!(stdout.contains("dB") && stdout.contains("left half"), "{stdout}");
     let status = works(&["status", &show(&shared_run.run), "--json"]);

@@ -60,14 +60,16 @@ pub struct HeldOutScore {
 impl HeldOut {
     /// The mean scores in words.
     pub fn in_words(&self) -> String {
-        let mut words = format!("{:.2} dB, SSIM {:.3}", self.psnr, self.ssim);
+        let mut words = format!("PSNR {:.2} dB, SSIM {:.3}", self.psnr, self.ssim);
         if let Some((name, lpips)) = self.named_lpips() {
             words += &format!(", {name} {lpips:.3}");
         }
         if self.left_out > 0.0 {
             let share = 100.0 * self.left_out;
-            words +=
-                &format!("; {:.2} dB without the {share:.1} % that contradict the scene", self.kept_psnr);
+            words += &format!(
+                "; PSNR {:.2} dB without the {share:.1} % of the pixels that contradict the scene (transients)",
+                self.kept_psnr
+            );
         }
         words
     }

@@ -76,7 +76,11 @@ impl TrainFit {
     /// The fit in words.
     pub fn in_words(&self) -> String {
         let share = 100.0 * self.transient;
-        format!("{:.2} dB over every pixel but the sky; {share:.1} % were taken for transients", self.psnr)
+        format!(
+            "PSNR {:.2} dB over all pixels but the sky, transients included; {share:.1} % of the pixels are taken for \
+             transients",
+            self.psnr
+        )
     }
 }
 

@@ -123,7 +123,7 @@ fn figures(folder: &RunFolder, loaded: &Loaded) -> Result<String, RunError> {
         row("time", bought.why);
     }
     if let Some(fit) = TrainFit::of(folder) {
-        row("PSNR on training photos", fit.in_words());
+        row("training photos", fit.in_words());
     }
     if let Some(check) = seams::of(folder) {
         row("blocks", check.in_words());
