@@ -1,12 +1,18 @@
 //! What a person waits for on the page: a client of its server, which measures requests one after the other and many at once.
 
-use segwild_eval::record::Provenance;
-use segwild_eval::stamp;
+use crate::page::{PageError, io};
+use segwild_eval::record::{Record, Results};
+use segwild_eval::stamp::{self, providers};
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
+use std::path::Path;
 use std::time::{Duration, Instant};
+
+/// The protocol under which everything here is recorded.
+pub const PROTOCOL: &str = "studio";
 
 /// Photos and pixels of them that are pointed at.
 const HOVERED: [usize; 2] = [5, 8];
@@ -63,6 +69,8 @@ pub enum StudioBenchError {
 /// What one run costs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StudioFigures {
+    /// Who makes the masks of clicks: `built-in`, or `sam:` and a model's name.
+    pub provider: String,
     /// Splats of the run.
     pub splats: usize,
     /// Its photos.
@@ -94,6 +102,43 @@ pub struct StudioRow {
     pub figures: StudioFigures,
     /// Most bytes in memory, of the server's process and of the run's.
     pub memory: [Option<u64>; 2],
+}
+
+impl StudioRow {
+    /// The row as a record, in the units of its figures and in MiB: `server_mib` of the server's process and `run_mib` of the
+    /// run's. Of what is measured many times it has the median, and the slowest under the same name after `slowest_`.
+    pub fn record(&self) -> Record {
+        let figures = &self.figures;
+        let single = [
+            ("splats", figures.splats as f64),
+            ("photos", figures.photos as f64),
+            ("first_photo_s", figures.first_photo_s),
+            ("first_frame_s", figures.first_frame_s),
+            ("frames_per_s", figures.frames_per_s),
+        ];
+        let repeated = [
+            ("hover_ms", &figures.hover_ms),
+            ("crowd_hover_ms", &figures.crowd_ms),
+            ("first_answer_s", &figures.first_answer_s),
+            ("last_answer_s", &figures.last_answer_s),
+            ("sure_s", &figures.sure_s),
+        ];
+        let mut numbers: BTreeMap<String, f64> =
+            single.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+        for (name, values) in repeated {
+            let mut sorted = values.clone();
+            sorted.sort_by(f64::total_cmp);
+            if let Some(slowest) = sorted.last() {
+                numbers.insert(name.to_owned(), sorted[sorted.len() / 2]);
+                numbers.insert(format!("slowest_{name}"), *slowest);
+            }
+        }
+        for (name, bytes) in ["server_mib", "run_mib"].into_iter().zip(self.memory) {
+            numbers.extend(bytes.map(|bytes| (name.to_owned(), bytes as f64 / f64::from(1 << 20))));
+        }
+        let (protocol, scene, provider) = (PROTOCOL.into(), self.run.clone(), figures.provider.clone());
+        Record { protocol, scene, setting: "page".into(), provider, numbers, ..Record::default() }
+    }
 }
 
 /// Measures a run.
@@ -160,6 +205,7 @@ pub fn studio(target: &StudioTarget) -> Result<StudioFigures, StudioBenchError> 
         client.post("frame", &view(k))?;
     }
     Ok(StudioFigures {
+        provider: description["provider"].as_str().unwrap_or_default().to_owned(),
         splats: description["splats"].as_u64().unwrap_or(0) as usize,
         photos: photos.len(),
         first_photo_s,
@@ -174,54 +220,61 @@ pub fn studio(target: &StudioTarget) -> Result<StudioFigures, StudioBenchError> 
 }
 
 /// The figures of runs as a page.
-pub fn page(rows: &[StudioRow], made: &Provenance) -> String {
+pub fn page(results: &Results) -> String {
+    let by = providers([results]);
     let mut text = format!(
-        "# What a person waits for on the page (built-in)\n\nThis page is generated. {}\n\nTimes are those of requests to a server in the same \
+        "# {}\n\nThis page is generated. {}\n\nTimes are those of requests to a server in the same \
          process, over HTTP, without a browser: median, and in brackets the slowest. *Hover*: the candidate under the pointer, in photos that \
          were opened before. *First answer*: from a click to splats that can be shown; *last*: refined by all photos; \
          *how sure*: until that is known of it. Clicks are on the parts that the scene lists. Memory is the most that the process had so far, \
          over all runs above. Frames have {} x {} pixels and are rendered by the server.\n\n\
          | run | splats | photos | s to the first photo | to the first frame | ms of a hover | of {} clients that hover at once | s to the first \
          answer | to the last | to how sure it is | frames a second | MiB | of the run's own |\n|---|---:|---:|---:|---:|---|---|---|---|---|---:|---:|---:|\n",
-        stamp::stamp(made, &["built-in"]),
+        stamp::title("What a person waits for on the page", &by),
+        stamp::stamp(&results.made, &by),
         FRAME[0],
         FRAME[1],
         CROWD[0],
     );
-    for row in rows {
-        write_row(row, &mut text);
+    for record in results.records.iter().filter(|record| record.protocol == PROTOCOL) {
+        write_row(record, &mut text);
     }
     text
 }
 
-fn write_row(row: &StudioRow, text: &mut String) {
-    let spread = |values: &[f64], digits: usize| {
-        let mut sorted = values.to_vec();
-        sorted.sort_by(f64::total_cmp);
-        match sorted.as_slice() {
-            [] => "-".into(),
-            all => format!("{:.digits$} ({:.digits$})", all[all.len() / 2], all[all.len() - 1]),
-        }
+/// Writes `results.json` into a folder, which is made where there is none.
+///
+/// # Errors
+/// When the folder or the file cannot be written.
+pub fn write(out: &Path, results: &Results) -> Result<(), PageError> {
+    io(out, std::fs::create_dir_all(out))?;
+    Ok(results.write(&out.join("results.json"))?)
+}
+
+fn write_row(record: &Record, text: &mut String) {
+    let of = |name: &str| record.numbers.get(name).copied();
+    let shown = |value: Option<f64>, places: usize| value.map_or("-".into(), |v| format!("{v:.places$}"));
+    let number = |name: &str, places: usize| shown(of(name), places);
+    let spread = |name: &str, places: usize| match of(&format!("slowest_{name}")) {
+        None => "-".to_owned(),
+        Some(slowest) => format!("{} ({slowest:.places$})", number(name, places)),
     };
-    let [here, own] = row.memory.map(|bytes| bytes.map(|b| b as f64 / f64::from(1 << 20)));
-    let number = |value: Option<f64>, digits: usize| value.map_or("-".into(), |v| format!("{v:.digits$}"));
-    let figures = &row.figures;
     let _ = writeln!(
         text,
-        "| {} | {} | {} | {:.2} | {:.2} | {} | {} | {} | {} | {} | {:.1} | {} | {} |",
-        row.run,
-        figures.splats,
-        figures.photos,
-        figures.first_photo_s,
-        figures.first_frame_s,
-        spread(&figures.hover_ms, 0),
-        spread(&figures.crowd_ms, 0),
-        spread(&figures.first_answer_s, 2),
-        spread(&figures.last_answer_s, 1),
-        spread(&figures.sure_s, 1),
-        figures.frames_per_s,
-        number(here, 0),
-        number(here.zip(own).map(|(here, own)| here / own), 2),
+        "| {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} |",
+        record.scene,
+        number("splats", 0),
+        number("photos", 0),
+        number("first_photo_s", 2),
+        number("first_frame_s", 2),
+        spread("hover_ms", 0),
+        spread("crowd_hover_ms", 0),
+        spread("first_answer_s", 2),
+        spread("last_answer_s", 1),
+        spread("sure_s", 1),
+        number("frames_per_s", 1),
+        number("server_mib", 0),
+        shown(of("server_mib").zip(of("run_mib")).map(|(server, run)| server / run), 2),
     );
 }
 
@@ -406,6 +459,7 @@ mod tests {
     #[test]
     fn a_run_without_figures_has_dashes() {
         let figures = StudioFigures {
+            provider: "built-in".into(),
             splats: 7,
             photos: 3,
             first_photo_s: 0.5,
@@ -418,7 +472,11 @@ mod tests {
             frames_per_s: 24.0,
         };
         let row = StudioRow { run: "trevi".into(), figures, memory: [Some(3 << 20), Some(6 << 20)] };
-        let text = page(&[row], &Provenance::default());
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("studio");
+        write(&out, &Results { records: vec![row.record()], ..Results::default() }).unwrap();
+        let text = page(&Results::read(&out.join("results.json")).unwrap());
+        assert!(text.starts_with("# What a person waits for on the page (built-in)\n"), "{text}");
         let row = "| trevi | 7 | 3 | 0.50 | 1.00 | 2 (3) | - | - | - | - | 24.0 | 3 | 0.50 |\n";
         assert!(text.ends_with(row), "{text}");
     }

@@ -6,8 +6,8 @@ use crate::exit;
 use crate::failure::Failure;
 use crate::output::print_line;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_bench::studio::{StudioRow, StudioTarget, page, studio as measure};
-use segwild_eval::record::Provenance;
+use segwild_bench::studio::{StudioRow, StudioTarget, page, studio as measure, write};
+use segwild_eval::record::{Provenance, Results};
 use segwild_monitor::view::RunView;
 use segwild_studio::messages::ANSWER_LABEL;
 use segwild_studio::{ServeOptions, serve};
@@ -26,6 +26,7 @@ pub fn command() -> Command {
                 .value_parser(value_parser!(PathBuf))
                 .help("Trained runs"),
         )
+        .arg(path("out", "Folder for results [default: .bench/studio]"))
         .arg(path("page", "Write the page to this file as well"))
         .after_help(examples(
             "segwild bench studio runs/trevi",
@@ -35,11 +36,16 @@ pub fn command() -> Command {
 
 /// Measures each run, and prints the page.
 pub fn studio(matches: &ArgMatches) -> Result<(), Failure> {
-    let runs = matches.get_many::<PathBuf>("runs").expect("clap requires it");
-    let rows: Vec<StudioRow> = runs.map(|run| row(run)).collect::<Result<_, _>>()?;
-    let text = page(&rows, &Provenance::here(command_line()));
-    if let Some(page) = path_of(matches, "page") {
-        segwild_flow::files::write_plain(&page, &text)?;
+    let out = path_of(matches, "out").unwrap_or_else(|| PathBuf::from(".bench/studio"));
+    let mut results = Results { made: Provenance::here(command_line()), ..Results::default() };
+    for run in matches.get_many::<PathBuf>("runs").expect("clap requires it") {
+        // Runs of two folders may have one name: each is measured.
+        results.records.push(row(run)?.record());
+        write(&out, &results)?;
+    }
+    let text = page(&results);
+    if let Some(file) = path_of(matches, "page") {
+        segwild_flow::files::write_plain(&file, &text).map_err(|e| Failure::cannot_write(&file, &e))?;
     }
     print_line(text.trim_end())
 }
