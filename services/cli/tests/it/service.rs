@@ -138,12 +138,13 @@ fn python(test: &str) -> Option<PathBuf> {
 }
 
 #[test]
-fn a_model_in_the_guides_python_server_makes_masks_and_answers_clicks() {
-    let test = "a_model_in_the_guides_python_server_makes_masks_and_answers_clicks";
+fn a_model_in_the_guides_python_server_makes_masks_and_answers_clicks_and_texts() {
+    let test = "a_model_in_the_guides_python_server_makes_masks_and_answers_clicks_and_texts";
     let Some(packages) = python(test) else { return };
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/guide/vision_server.py");
     let mut command = Command::new("python3");
-    command.arg(script).args(["flood-fill", "--listen", "127.0.0.1:0"]).env("PYTHONPATH", packages);
+    let models = ["flood-fill", "--texts", "colours", "--listen", "127.0.0.1:0"];
+    command.arg(script).args(models).env("PYTHONPATH", packages);
     let (_service, address) = started(&mut command);
     let dir = folder();
     let run = dir.path().join("run");
@@ -154,4 +155,9 @@ fn a_model_in_the_guides_python_server_makes_masks_and_answers_clicks() {
     assert_eq!(selected.status.code(), Some(0), "{}", text(&selected.stderr));
     let summary = json(&std::fs::read(run.join("selections/it/summary.json")).expect("a summary"));
     assert!(summary["splats"].as_u64().is_some_and(|n| n > 0), "{summary}");
+    let run_text = show(&run);
+    let by_text = ["segment", &run_text, "--text", "red", "--vision-service", &address, "--json"];
+    let answer = json(works(&by_text).as_bytes());
+    let matches = answer["ranking"]["matches"].as_array();
+    assert!(matches.is_some_and(|all| all.iter().all(|m| m["score"].as_f64() > Some(0.0))), "{answer}");
 }
