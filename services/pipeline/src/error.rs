@@ -3,7 +3,8 @@
 use crate::SettingsError;
 use segwild_features::FeatureError;
 use segwild_flow::{
-    ActorFailure, CacheError, CodecError, FileError, LedgerError, ProgramError, SpawnError, SystemRefusal,
+    ActorFailure, CacheError, CodecError, FileError, LedgerError, Phase, ProgramError, SpawnError, Stopper,
+    SystemRefusal,
 };
 use segwild_gpu::GpuError;
 use segwild_poses::PosesError;
@@ -138,5 +139,25 @@ impl RunError {
             Some(refusal) => RunError::Storage { stage, reason, refusal },
             None => RunError::Stage { stage, reason },
         }
+    }
+
+    /// Ends what `stopper` has stopped, between two parts of it.
+    ///
+    /// # Errors
+    /// [`RunError::Interrupted`] once it is to stop.
+    pub(crate) fn unless_running(stopper: &Stopper) -> Result<(), RunError> {
+        match stopper.phase() {
+            Phase::Running => Ok(()),
+            _ => Err(RunError::Interrupted),
+        }
+    }
+
+    /// The error of a folder of true masks without one that counts, as `reason` says. `unread` has a sentence for each mask that
+    /// cannot be read: they may be why.
+    pub(crate) fn no_truth(reason: String, unread: &[String]) -> RunError {
+        RunError::Input(match unread.first() {
+            Some(first) => format!("{reason}; {} could not be read, the first: {first}", unread.len()),
+            None => reason,
+        })
     }
 }

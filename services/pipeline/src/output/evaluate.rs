@@ -315,14 +315,11 @@ pub fn score(folder: &RunFolder, selection: &str, truth: &Path) -> Result<Score,
     }
     let others: Vec<&SelectionMaskScore> = photos.iter().filter(|p| !p.prompted).collect();
     if others.is_empty() {
-        let mut reason = format!(
+        let reason = format!(
             "--truth {}: it holds no true mask (PHOTO.png) of a photo of this run that was not prompted",
             truth.display()
         );
-        if let Some(first) = unread.first() {
-            reason += &format!("; {} could not be read, the first: {first}", unread.len());
-        }
-        return Err(RunError::Input(reason));
+        return Err(RunError::no_truth(reason, &unread));
     }
     let mean = |pick: fn(&SelectionMaskScore) -> f64| {
         others.iter().map(|p| pick(p)).sum::<f64>() / others.len() as f64

@@ -11,7 +11,7 @@ use crate::output::without::SceneWithout;
 use crate::{RunError, RunFolder, Selected, choose_engine, log_loss};
 use glam::Vec3;
 use segwild_features::FeatureColours;
-use segwild_flow::{FileError, Phase, Stopper, files};
+use segwild_flow::{FileError, Stopper, files};
 use segwild_raster::{Channels, Rasterizer, ResidentChannels};
 use segwild_scene::{Camera, Image, Pose, Scene, View};
 use segwild_trainer::{Model, SceneLight, SceneLighting, render_lit};
@@ -181,9 +181,7 @@ fn render_into(
     let sequence = request.frames.is_some() || request.path != CameraPath::Photos;
     let last = jobs.len().saturating_sub(1).max(1) as f32;
     for (f, job) in jobs.into_iter().enumerate() {
-        if stopper.phase() != Phase::Running {
-            return Err(RunError::Interrupted);
-        }
+        RunError::unless_running(stopper)?;
         let share = if sequence { f as f32 / last } else { request.interpolate.unwrap_or(0.0) };
         let light = lights.at(share).unwrap_or_else(|| renderer.own(&job, request.appearance.strength));
         let object_light = object_lights.as_ref().and_then(|lights: &Lights| lights.at(share));

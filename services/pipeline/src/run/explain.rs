@@ -49,10 +49,7 @@ pub fn explain(
     folder.stays_inside()?;
     let settings = settings.anchored();
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-    let ledger = match folder.ledger().is_file() {
-        true => Some(Ledger::open_read_only(folder.ledger())?),
-        false => None,
-    };
+    let ledger = ledger_of(folder)?;
     let mut plans = Vec::new();
     if let Err(photos) = scene_or_photos(&path, &settings.scene)? {
         let poses = folder.poses().plan(&photos, &settings.poses)?;
@@ -92,6 +89,14 @@ pub fn explain(
     Ok(plans)
 }
 
+/// The ledger of a run folder; `None` where nothing has run in it yet.
+fn ledger_of(folder: &RunFolder) -> Result<Option<Ledger>, RunError> {
+    match folder.ledger().is_file() {
+        true => Ok(Some(Ledger::open_read_only(folder.ledger())?)),
+        false => Ok(None),
+    }
+}
+
 /// Returns what the time of these settings buys, in a sentence: as it was decided when the run started, or as this machine is
 /// measured now. `None` without a time. Nothing is kept: the run measures again.
 ///
@@ -114,10 +119,7 @@ pub fn explain_time(
     {
         return Ok(Some(format!("{time} buy steps and splats once the photos have poses")));
     }
-    let ledger = match folder.ledger().is_file() {
-        true => Some(Ledger::open_read_only(folder.ledger())?),
-        false => None,
-    };
+    let ledger = ledger_of(folder)?;
     let now = Situation::of(&path, folder, ledger.as_ref(), &settings, &End::Settings)?;
     fits_time(&now.scene, &settings, blocks::of(folder))?;
     if let Some(decided) = &now.time {

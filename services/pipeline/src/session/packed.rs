@@ -5,7 +5,7 @@ use super::viewing::ShownParts;
 use crate::RunError;
 use crate::artifacts::selected::Shortened;
 use crate::output::light::BlendedAppearance;
-use segwild_flow::{Phase, Stopper};
+use segwild_flow::Stopper;
 use segwild_scene::Splats;
 use segwild_segmenter::scene_tree::{NONE, SceneTree};
 use std::cmp::Ordering;
@@ -130,9 +130,7 @@ impl Session {
         }
         let mut colours: BTreeMap<u32, Vec<f32>> = BTreeMap::new();
         for (k, (_, appearance)) in parts.appearances.iter().enumerate() {
-            if stopper.phase() != Phase::Running {
-                return Err(RunError::Interrupted);
-            }
+            RunError::unless_running(stopper)?;
             let own: Vec<usize> = (0..splats.len()).filter(|&i| lit[i] == Some(k)).collect();
             if own.is_empty() {
                 continue;

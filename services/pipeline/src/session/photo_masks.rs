@@ -6,7 +6,7 @@ use crate::artifacts::selected::Selected;
 use crate::output::object_masks::ObjectMasks;
 use crate::settings::AT_ONCE;
 use rayon::prelude::*;
-use segwild_flow::{Phase, Stopper};
+use segwild_flow::Stopper;
 use segwild_scene::{Image, Mask, Splats};
 use segwild_segmenter::MaskMode;
 use std::ops::Range;
@@ -105,9 +105,7 @@ impl Session {
         let photos: Vec<usize> = photos.collect();
         let mut files = Vec::with_capacity(photos.len());
         for some in photos.chunks(PhotoMasks::at_once()) {
-            if stopper.phase() != Phase::Running {
-                return Err(RunError::Interrupted);
-            }
+            RunError::unless_running(stopper)?;
             files.extend(masks.each(some, |_, [visible, amodal]| Ok([visible.png()?, amodal.png()?]))?);
         }
         Ok(files)

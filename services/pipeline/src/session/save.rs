@@ -10,7 +10,7 @@ use crate::code;
 use crate::output::light::{self, find};
 use crate::output::report;
 use crate::{ObjectProvenance, PhotoPrompts, RunError, RunFolder, TextRanking, transients};
-use segwild_flow::{FileError, Phase, Stopper, fault, files};
+use segwild_flow::{FileError, Stopper, fault, files};
 use segwild_scene::{Export, Mask, Scene, ScoredMask};
 use segwild_segmenter::{Alternative, PhotoVerdict, Segmented, SelectedObject, SelectionConfidence};
 use serde::Serialize;
@@ -200,9 +200,7 @@ impl Session {
             };
             let mut written = 0;
             for some in photos.chunks(PhotoMasks::at_once()) {
-                if stopper.phase() != Phase::Running {
-                    return Err(RunError::Interrupted);
-                }
+                RunError::unless_running(stopper)?;
                 for shown in photo_masks.each(some, write)? {
                     outcome.photos += usize::from(shown);
                     written += 1;

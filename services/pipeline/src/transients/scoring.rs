@@ -99,14 +99,11 @@ pub fn score_transients(folder: &RunFolder, truth: &Path) -> Result<TransientSco
         });
     }
     if photos.is_empty() {
-        let mut reason = format!(
+        let reason = format!(
             "--transient-truth {}: it holds no true mask of a photo of this run whose transients were looked for",
             truth.display()
         );
-        if let Some(first) = unread.first() {
-            reason += &format!("; {} could not be read, the first: {first}", unread.len());
-        }
-        return Err(RunError::Input(reason));
+        return Err(RunError::no_truth(reason, &unread));
     }
     let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len().max(1) as f64;
     Ok(TransientScores {

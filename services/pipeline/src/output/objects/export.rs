@@ -9,7 +9,7 @@ use crate::output::light;
 use crate::settings::AT_ONCE;
 use crate::{ExportFormat, ExportProvenance, RunError};
 use rayon::prelude::*;
-use segwild_flow::{Phase, Stopper, files};
+use segwild_flow::{Stopper, files};
 use segwild_raster::CpuEngine;
 use segwild_scene::{Export, Mask, Scene};
 use segwild_segmenter::PosedView;
@@ -104,9 +104,7 @@ fn annotations(
     let views: Vec<usize> = (0..scene.views.len()).collect();
     // Masks have the photos' full size: only a few photos at once fit into memory.
     for some in views.chunks(rayon::current_num_threads().min(AT_ONCE)) {
-        if stopper.phase() != Phase::Running {
-            return Err(RunError::Interrupted);
-        }
+        RunError::unless_running(stopper)?;
         let masks_of = |&index: &usize| -> Result<Vec<(usize, Mask)>, RunError> {
             let view = &scene.views[index];
             let posed = PosedView { camera: view.camera.scaled_to(size), ..view.into() };

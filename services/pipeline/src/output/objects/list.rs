@@ -2,7 +2,7 @@
 
 use super::sheet;
 use crate::{ObjectQuery, RunError, RunFolder};
-use segwild_flow::{FileError, Phase, Stopper, fault, files};
+use segwild_flow::{FileError, Stopper, fault, files};
 use segwild_raster::CpuEngine;
 use segwild_scene::{Image, Mask, PhotoStore, Scene};
 use segwild_segmenter::PosedView;
@@ -236,9 +236,7 @@ impl ListRequest<'_> {
         };
         let training = || (0..self.scene().views.len()).filter(|&view| !self.scene().views[view].test);
         for view in training() {
-            if stopper.phase() != Phase::Running {
-                return Err(RunError::Interrupted);
-            }
+            RunError::unless_running(stopper)?;
             let map = self.map(view, &parts)?;
             let share = map.seen_once as f32 / map.labels.len().max(1) as f32;
             seen_once.photos.insert(self.scene().views[view].name.clone(), share);

@@ -5,7 +5,7 @@ use super::prompts::negatives;
 use crate::RunError;
 use crate::artifacts::cache::DESCRIBED;
 use crate::output::objects::{ListRequest, SHOWS, whole_pixels};
-use segwild_flow::{Cache, Key, Phase, Stopper, lock};
+use segwild_flow::{Cache, Key, Stopper, lock};
 use segwild_scene::{Image, Mask};
 use segwild_segmenter::scene_tree::{GroupCandidate, LeafMap, SceneTree, ShownPixels};
 use segwild_vision::{TextEmbedder, VisionError};
@@ -241,9 +241,7 @@ impl DescribeRequest<'_> {
             (0..groups.len()).filter(|&i| best[i].iter().any(|(_, of)| *of == view)).collect();
         let mut embedded = EmbeddedCrops::new();
         for some in shown.chunks(AT_ONCE) {
-            if stopper.phase() != Phase::Running {
-                return Err(RunError::Interrupted);
-            }
+            RunError::unless_running(stopper)?;
             let crop_of = |&i: &usize| Some((i, crop(photo, &map.mask(&tree.leaves_of(&groups[i])))?));
             let (of, crops): (Vec<usize>, Vec<Image>) = some.iter().filter_map(crop_of).unzip();
             embedded.extend(of.into_iter().zip(self.embedder.embed_images(&crops)?));
@@ -266,9 +264,7 @@ impl DescribeRequest<'_> {
     fn best_photos(&self, groups: &[GroupCandidate], stopper: &Stopper) -> Result<Vec<BestPhotos>, RunError> {
         let mut best = vec![BestPhotos::new(); groups.len()];
         for (view, _) in self.scene.scene().views.iter().enumerate().filter(|(_, view)| !view.test) {
-            if stopper.phase() != Phase::Running {
-                return Err(RunError::Interrupted);
-            }
+            RunError::unless_running(stopper)?;
             let shown = self.map(view)?.shown(self.scene.tree, groups);
             for (best, ShownPixels { all, on_frame }) in best.iter_mut().zip(shown) {
                 let whole = whole_pixels(all, on_frame);

@@ -3,7 +3,7 @@
 use super::described::{DescribedGroup, DescribedGroups};
 use super::prompts::prompt;
 use crate::RunError;
-use segwild_flow::{Phase, Stopper};
+use segwild_flow::Stopper;
 use segwild_segmenter::SegmentError;
 use segwild_segmenter::scene_tree::{GroupCandidate, SceneTree};
 use segwild_vision::TextEmbedder;
@@ -233,9 +233,7 @@ fn best(
     let least = order.first().map_or(0.0, |&first| (scores[first].score - MARGIN).max(MIN_SCORE));
     let mut kept: Vec<(usize, Vec<bool>, f64)> = Vec::new();
     for i in order {
-        if stopper.phase() != Phase::Running {
-            return Err(RunError::Interrupted);
-        }
+        RunError::unless_running(stopper)?;
         if kept.len() == most || (every && !kept.is_empty() && scores[i].score < least) {
             break;
         }
