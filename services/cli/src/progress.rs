@@ -5,6 +5,7 @@ use segwild_flow::{Event, EventLevel, EventRecord, Events, Sink, Stopper};
 use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
 use crate::failure::plain;
@@ -110,7 +111,7 @@ pub fn stop_on_ctrl_c(stopper: &Stopper) -> std::io::Result<()> {
         stopper.stop();
         // Actors that do not come to an end are left behind after half a minute; who conducts them may hang as well.
         let late = || {
-            let (_never, next) = std::sync::mpsc::channel::<()>();
+            let (_never, next) = channel::<()>();
             let _ = next.recv_timeout(LATEST);
             print_note("it has not come to an end: stopped at once; the run can continue");
             std::process::exit(crate::exit::INTERRUPTED.into());
@@ -119,6 +120,18 @@ pub fn stop_on_ctrl_c(stopper: &Stopper) -> std::io::Result<()> {
             print_note("no thread is left to watch the end: press Ctrl-C again if it does not come");
         }
     })
+}
+
+/// Returns what receives the first Ctrl-C (or SIGTERM), for commands that an end at any time does not harm: the second ends the
+/// process at once, and so does the first where nobody waits for it.
+pub fn first_ctrl_c() -> std::io::Result<Receiver<()>> {
+    let (stop, stopped) = channel();
+    on_ctrl_c(move |press| {
+        if press > 1 || stop.send(()).is_err() {
+            std::process::exit(crate::exit::INTERRUPTED.into());
+        }
+    })?;
+    Ok(stopped)
 }
 
 /// Calls a function at every Ctrl-C (or SIGTERM), with their number so far.

@@ -5,7 +5,7 @@ use crate::exit;
 use crate::failure::Failure;
 use crate::farm::{connect, engine_args, farm_to_reach, shown_farm};
 use crate::output::print_line;
-use crate::progress::{on_ctrl_c, run_is_over};
+use crate::progress::{first_ctrl_c, run_is_over};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_flow::{Phase, Stopper};
 use segwild_monitor::ServeError;
@@ -14,7 +14,6 @@ use segwild_proto::Token;
 use segwild_studio::{ServeOptions, StudioServer, has_runs, serve as serve_page, serve_farm};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc;
 use std::time::Duration;
 
 /// The usual port of the page.
@@ -86,13 +85,8 @@ fn check(folder: &Path) -> Result<(), Failure> {
 pub fn serve(matches: &ArgMatches) -> Result<(), Failure> {
     let folder = path_of(matches, "run");
     folder.as_deref().map_or(Ok(()), check)?;
-    let (stop, stopped) = mpsc::channel();
-    on_ctrl_c(move |press| {
-        // The sessions are on disk: nothing is lost by an end at any time.
-        if press > 1 || stop.send(()).is_err() {
-            std::process::exit(exit::INTERRUPTED.into());
-        }
-    })?;
+    // The sessions are on disk: nothing is lost by an end at any time.
+    let stopped = first_ctrl_c()?;
     let server = page(folder.as_deref(), matches.get_one("listen").copied(), matches)?;
     print_line(&format!("the page: {}", server.address()))?;
     if matches.get_flag("open") {

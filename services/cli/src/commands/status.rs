@@ -1,11 +1,10 @@
 //! `segwild status`
 
-use crate::exit;
 use crate::failure::Failure;
 use crate::farm::{target, target_args};
 use crate::operators::{listen, metrics_listen};
 use crate::output::{print_json, print_line};
-use crate::progress::{duration, on_ctrl_c};
+use crate::progress::{duration, first_ctrl_c};
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use segwild_monitor::view::{BatchView, FarmView, FarmWorkerView, RunView, Runs, SceneState, StageView};
 use segwild_monitor::words::{bytes, count};
@@ -35,13 +34,8 @@ pub fn command() -> Command {
 
 /// Serves what is shown instead of printing it, until stopped.
 fn stay(matches: &ArgMatches, target: MonitorTarget) -> Result<(), Failure> {
-    let (stop, stopped) = mpsc::channel();
-    on_ctrl_c(move |press| {
-        // It writes nothing: an end at any time is as good.
-        if press > 1 || stop.send(()).is_err() {
-            std::process::exit(exit::INTERRUPTED.into());
-        }
-    })?;
+    // It writes nothing: an end at any time is as good.
+    let stopped = first_ctrl_c()?;
     let _server = listen(matches, target, false)?;
     // The sender lives as long as the process.
     let _ = stopped.recv();

@@ -5,12 +5,11 @@ use crate::args::{self, examples, flag, number, with_fields};
 use crate::exit;
 use crate::failure::Failure;
 use crate::output::print_line;
-use crate::progress::on_ctrl_c;
+use crate::progress::first_ctrl_c;
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_pipeline::{Code, Settings, SettingsError};
 use segwild_vision::{Providers, ServiceIdentity, VisionServiceOptions, serve_vision};
 use std::net::{Ipv4Addr, SocketAddr};
-use std::sync::mpsc;
 
 /// The usual port of the service.
 const PORT: u16 = 50051;
@@ -93,13 +92,8 @@ fn serve(matches: &ArgMatches) -> Result<(), Failure> {
     for note in &providers.notes {
         print_line(note)?;
     }
-    let (stop, stopped) = mpsc::channel();
-    on_ctrl_c(move |press| {
-        // Clients ask again: nothing is lost by an end at any time.
-        if press > 1 || stop.send(()).is_err() {
-            std::process::exit(exit::INTERRUPTED.into());
-        }
-    })?;
+    // Clients ask again: nothing is lost by an end at any time.
+    let stopped = first_ctrl_c()?;
     let options = VisionServiceOptions { address, token, memory, parallel, tls };
     let server = serve_vision(providers, options)
         .map_err(|e| failed(format!("the service cannot listen on {address}: {e}")))?;
