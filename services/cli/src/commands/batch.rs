@@ -1,13 +1,13 @@
 //! `segwild batch`
 
-use crate::args::path_of;
+use crate::args::{flag, path, path_of};
 use crate::exit;
 use crate::failure::{Failure, plain};
 use crate::farm::{ReachedFarm, farm_args, reach, shown};
 use crate::operators::{have_files_to_open, listen, metrics_listen};
 use crate::output::{print_json, print_line, print_note};
 use crate::progress::{duration, on_ctrl_c};
-use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
+use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_farm::{
     BatchEvent, BatchOptions, BatchSummary, FarmBatch, JobState, JobStatus, StopBatch, StopLevel, batch,
 };
@@ -31,29 +31,13 @@ pub fn command() -> Command {
                 .value_parser(value_parser!(PathBuf))
                 .help("TOML file of the scenes, their settings and priorities, and the budget"),
         )
-        .arg(
-            Arg::new("out")
-                .long("out")
-                .value_name("PATH")
-                .value_parser(value_parser!(PathBuf))
-                .help("Batch folder [default: runs/NAME of the manifest]"),
-        )
+        .arg(path("out", "Batch folder [default: runs/NAME of the manifest]"))
         .arg(crate::args::until(
             "Every scene stops after this stage, or after training step N, whatever the manifest says",
         ))
-        .arg(
-            Arg::new("retry-dead")
-                .long("retry-dead")
-                .action(ArgAction::SetTrue)
-                .help("Let scenes that were given up try again"),
-        )
-        .arg(
-            Arg::new("metrics-per-scene")
-                .long("metrics-per-scene")
-                .action(ArgAction::SetTrue)
-                .help("Label metrics with the scene: a time series each"),
-        )
-        .arg(crate::args::flag("no-wait", "Hand the scenes to the farm, and do not watch").requires("farm"))
+        .arg(flag("retry-dead", "Let scenes that were given up try again"))
+        .arg(flag("metrics-per-scene", "Label metrics with the scene: a time series each"))
+        .arg(flag("no-wait", "Hand the scenes to the farm, and do not watch").requires("farm"))
         .arg(crate::args::json())
 }
 

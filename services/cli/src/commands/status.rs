@@ -1,11 +1,12 @@
 //! `segwild status`
 
+use crate::args::flag;
 use crate::failure::Failure;
 use crate::farm::{target, target_args};
 use crate::operators::{listen, metrics_listen};
 use crate::output::{print_json, print_line};
 use crate::progress::{duration, first_ctrl_c};
-use clap::{Arg, ArgAction, ArgMatches, Command};
+use clap::{ArgMatches, Command};
 use segwild_monitor::view::{BatchView, FarmView, FarmWorkerView, RunView, Runs, SceneState, StageView};
 use segwild_monitor::words::{bytes, count};
 use segwild_monitor::{MonitorTarget, MonitorView};
@@ -17,9 +18,6 @@ const EVERY: Duration = Duration::from_secs(1);
 
 /// The command's arguments.
 pub fn command() -> Command {
-    let flag = |name: &'static str, help: &'static str| {
-        Arg::new(name).long(name).action(ArgAction::SetTrue).help(help)
-    };
     target_args(Command::new("status"))
         .about("Say what a run, a batch or a farm has done and is doing")
         .after_help(crate::args::examples(

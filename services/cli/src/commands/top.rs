@@ -1,9 +1,10 @@
 //! `segwild top`
 
+use crate::args::flag;
 use crate::failure::Failure;
 use crate::farm::{target, target_args};
 use crate::output::print_line;
-use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
+use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_monitor::top as screen;
 use std::io::IsTerminal;
 
@@ -23,7 +24,7 @@ pub fn command() -> Command {
             "segwild top runs/trevi",
             "segwild top runs/night --once --columns 120",
         ))
-        .arg(Arg::new("once").long("once").action(ArgAction::SetTrue).help("Print one page as text and exit"))
+        .arg(flag("once", "Print one page as text and exit"))
         .arg(size("columns", "80", "Width of the page of --once"))
         .arg(size("rows", "24", "Height of the page of --once"))
 }

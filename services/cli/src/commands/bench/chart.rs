@@ -2,13 +2,13 @@
 
 use super::command_line::command_line;
 use super::scene_args::{
-    light, light_of, occlusion, parts, parts_of, photo_count, pixels, providers, providers_of,
+    each_of, light, light_of, occlusion, only, parts, parts_of, photo_count, pixels, providers, providers_of,
 };
 use crate::args::{examples, given, json, list, numbers, path, path_of, with_settings_in_long_help};
 use crate::failure::{Failure, plain};
 use crate::operators::use_threads;
 use crate::output::{print_json, print_line};
-use clap::{Arg, ArgMatches, Command, value_parser};
+use clap::{ArgMatches, Command};
 use segwild_bench::chart::{ChartBase, ChartEvent, ChartOptions, chart as measure_all, write};
 use segwild_bench::point::{PhotoSource, PointJob, measure};
 use segwild_eval::oracle::OracleOptions;
@@ -22,39 +22,18 @@ pub fn command() -> Command {
     let command = Command::new("chart")
         .about("Accuracy against time and memory: one setting varied at a time around a default")
         .after_help(examples("segwild bench chart --scene photos/trevi", "segwild bench chart --only steps,appearance_model --seeds 1,2"))
-        .arg(
-            Arg::new("scene")
-                .long("scene")
-                .value_name("PATH")
-                .value_parser(value_parser!(PathBuf))
-                .help("A folder of photos with true masks in `truth/` [default: synthetic scenes]"),
-        )
+        .arg(path("scene", "A folder of photos with true masks in `truth/` [default: synthetic scenes]"))
         .arg(parts())
-        .arg(
-            Arg::new("scene-seeds")
-                .long("scene-seeds")
-                .value_name("LIST")
-                .default_value("1")
-                .help("Seeds of the synthetic scenes, with commas; a point is their mean"),
-        )
-        .arg(
-            Arg::new("seeds")
-                .long("seeds")
-                .value_name("LIST")
-                .default_value("1,2")
-                .help("Seeds of the training, with commas: what the error bars are over"),
-        )
+        .arg(each_of("scene-seeds", "1", "Seeds of the synthetic scenes, with commas; a point is their mean"))
+        .arg(each_of("seeds", "1,2", "Seeds of the training, with commas: what the error bars are over"))
         .arg(photo_count("24"))
         .arg(pixels("240"))
         .arg(occlusion())
         .arg(light())
         .arg(providers())
-        .arg(
-            Arg::new("only")
-                .long("only")
-                .value_name("LIST")
-                .help("Sweeps to measure, with commas: preset, steps, splats, channels, size, appearance_model, refine, prompts, density, budget, or single points of them as in appearance_model=embed [default: all]"),
-        )
+        .arg(only(
+            "Sweeps to measure, with commas: preset, steps, splats, channels, size, appearance_model, refine, prompts, density, budget, or single points of them as in appearance_model=embed [default: all]",
+        ))
         .arg(path("out", "Folder for results; what is there is not measured again [default: .bench/chart]"))
         .arg(path("page-folder", "Folder for the page, figures and data [default: the folder of the results]"))
         .arg(json());

@@ -1,10 +1,10 @@
 //! `segwild bench compare`
 
-use crate::args::json;
+use crate::args::{flag, json};
 use crate::exit;
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
-use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
+use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_eval::compare::{Change, CompareOptions, compare as compare_all, names_its_provider};
 use segwild_eval::record::Results;
 use std::path::PathBuf;
@@ -25,18 +25,11 @@ pub fn command() -> Command {
         )
         .arg(file("old", "OLD", "Results before"))
         .arg(file("new", "NEW", "Results after"))
-        .arg(
-            Arg::new("fail")
-                .long("fail")
-                .action(ArgAction::SetTrue)
-                .help("End with exit code 7 if anything got worse, or is no longer measured"),
-        )
-        .arg(
-            Arg::new("strict")
-                .long("strict")
-                .action(ArgAction::SetTrue)
-                .help("Compare by what matters alone: for fixed seeds, where the same code gives the same bytes"),
-        )
+        .arg(flag("fail", "End with exit code 7 if anything got worse, or is no longer measured"))
+        .arg(flag(
+            "strict",
+            "Compare by what matters alone: for fixed seeds, where the same code gives the same bytes",
+        ))
         .arg(
             Arg::new("margins")
                 .long("margins")
@@ -45,12 +38,7 @@ pub fn command() -> Command {
                 .default_value("1")
                 .help("Factor on all differences that matter"),
         )
-        .arg(
-            Arg::new("all")
-                .long("all")
-                .action(ArgAction::SetTrue)
-                .help("Also list what has not changed"),
-        )
+        .arg(flag("all", "Also list what has not changed"))
         .arg(json())
 }
 

@@ -2,10 +2,10 @@
 
 use super::command_line::command_line;
 use super::scene_args::{each_of, pixels};
-use crate::args::{examples, json, list, numbers, path, path_of};
+use crate::args::{examples, flag, json, list, numbers, path, path_of};
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
-use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
+use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_bench::engine::{EngineOptions, Goal, engine as measure_all, write};
 use segwild_eval::record::Record;
 use segwild_gpu::AdapterChoice;
@@ -32,18 +32,8 @@ pub fn command() -> Command {
             "3,16,64",
             "Numbers of channels, on the first frame with the first number of splats",
         ))
-        .arg(
-            Arg::new("no-cpu")
-                .long("no-cpu")
-                .action(ArgAction::SetTrue)
-                .help("Leave out the CPU engine beside it"),
-        )
-        .arg(
-            Arg::new("no-subgroups")
-                .long("no-subgroups")
-                .action(ArgAction::SetTrue)
-                .help("Sum and sort without subgroups, even where the accelerator has some"),
-        )
+        .arg(flag("no-cpu", "Leave out the CPU engine beside it"))
+        .arg(flag("no-subgroups", "Sum and sort without subgroups, even where the accelerator has some"))
         .arg(
             Arg::new("db")
                 .long("db")

@@ -1,11 +1,12 @@
 //! `segwild bench farm`
 
 use super::command_line::command_line;
+use super::scene_args::each_of;
 use crate::args::{examples, number, numbers, path, path_of};
 use crate::exit;
 use crate::failure::Failure;
 use crate::output::print_line;
-use clap::{Arg, ArgMatches, Command, value_parser};
+use clap::{ArgMatches, Command, value_parser};
 use segwild_bench::farm::{FailureFigures, FarmBenchOptions, page};
 use segwild_eval::record::Provenance;
 use std::path::PathBuf;
@@ -27,13 +28,7 @@ pub fn command() -> Command {
         )
         .arg(number("scene-count", "10000", "Simulated scenes").value_parser(whole()))
         .arg(number("machines", "200", "Simulated machines").value_parser(whole()))
-        .arg(
-            Arg::new("seeds")
-                .long("seeds")
-                .value_name("LIST")
-                .default_value("1,2,3")
-                .help("Seeds of the simulated farms"),
-        )
+        .arg(each_of("seeds", "1,2,3", "Seeds of the simulated farms"))
         .arg(path("out", "Folder for the server's log [default: .bench/farm]"))
         .arg(path("page", "Write the figures to this file, as a page"))
 }

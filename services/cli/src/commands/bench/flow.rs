@@ -1,11 +1,11 @@
 //! `segwild bench flow`
 
 use super::command_line::command_line;
-use super::scene_args::each_of;
+use super::scene_args::{each_of, only};
 use crate::args::{examples, json, list, number, numbers, path, path_of};
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
-use clap::{Arg, ArgMatches, Command, value_parser};
+use clap::{ArgMatches, Command, value_parser};
 use segwild_bench::flow::{FlowOptions, Row, measured, over, page};
 use segwild_eval::record::Provenance;
 use std::path::PathBuf;
@@ -15,12 +15,7 @@ pub fn command() -> Command {
     Command::new("flow")
         .about("Measure what the dataflow promises: overlap, accelerator, remote, cost, cache, kills, memory")
         .after_help(examples("segwild bench flow", "segwild bench flow --page flow.md"))
-        .arg(
-            Arg::new("only")
-                .long("only")
-                .value_name("LIST")
-                .help("Rows to measure, with commas [default: all]"),
-        )
+        .arg(only("Rows to measure, with commas [default: all]"))
         .arg(number("kills", "50", "Runs that are killed").value_parser(value_parser!(u32).range(1..)))
         .arg(each_of("photo-counts", "100,1000", "Photos of the two scenes whose memory is compared"))
         .arg(path("out", "Folder for scenes and runs [default: .bench/flow]"))

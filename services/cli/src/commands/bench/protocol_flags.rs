@@ -1,7 +1,10 @@
 //! What the protocols have in common: rows, seeds, where results go, and how they are printed.
 
 use super::command_line::command_line;
-use crate::args::{examples, given, json, list, number, numbers, path, path_of, with_settings_in_long_help};
+use super::scene_args::{each_of, only};
+use crate::args::{
+    examples, flag, given, json, list, number, numbers, path, path_of, with_settings_in_long_help,
+};
 use crate::failure::Failure;
 use crate::operators::use_threads;
 use crate::output::{print_json, print_line};
@@ -15,19 +18,12 @@ use std::path::PathBuf;
 /// Adds the flags that every protocol has: those of all settings, `--seeds`, `--only`, `--out`, `--page`, `--json`.
 pub fn with_common(command: Command, seeds: &'static str, folder: &'static str) -> Command {
     with_settings_in_long_help(command)
-        .arg(
-            Arg::new("seeds")
-                .long("seeds")
-                .value_name("LIST")
-                .default_value(seeds)
-                .help("Seeds, with commas: of synthetic scenes, or of the training on given photos"),
-        )
-        .arg(
-            Arg::new("only")
-                .long("only")
-                .value_name("LIST")
-                .help("Rows to compute, with commas, of whichever table [default: all of the table]"),
-        )
+        .arg(each_of(
+            "seeds",
+            seeds,
+            "Seeds, with commas: of synthetic scenes, or of the training on given photos",
+        ))
+        .arg(only("Rows to compute, with commas, of whichever table [default: all of the table]"))
         .arg(
             Arg::new("change")
                 .long("change")
@@ -36,11 +32,10 @@ pub fn with_common(command: Command, seeds: &'static str, folder: &'static str) 
                 .help("A setting that holds whatever a row says: to tune a baseline"),
         )
         .arg(path("out", folder))
-        .arg(
-            Arg::new("keep").long("keep").action(ArgAction::SetTrue).help(
-                "Keep what OUT/results.json has of other rows, scenes and prompts [default: start over]",
-            ),
-        )
+        .arg(flag(
+            "keep",
+            "Keep what OUT/results.json has of other rows, scenes and prompts [default: start over]",
+        ))
         .arg(path("page", "Write the tables to this file, with what made them"))
         .arg(json())
 }

@@ -1,12 +1,12 @@
 //! `segwild bench reconstruction`
 
 use super::command_line::command_line;
-use super::scene_args::scenes_and_sizes;
+use super::scene_args::{each_of, scenes_and_sizes};
 use crate::args::{examples, given, json, numbers, path, path_of, with_settings_in_long_help};
 use crate::failure::Failure;
 use crate::operators::use_threads;
 use crate::output::{print_json, print_line};
-use clap::{Arg, ArgMatches, Command};
+use clap::{ArgMatches, Command};
 use segwild_bench::reconstruction::{ReconstructionOptions, reconstruction as measure_all, write};
 use segwild_eval::record::{LPIPS_COLUMNS, Record};
 use segwild_pipeline::Settings;
@@ -21,13 +21,7 @@ pub fn command() -> Command {
             "segwild bench reconstruction photos/trevi --sizes 320,640 --seeds 1,2",
         ))
         .args(scenes_and_sizes("Scenes as for `segwild run`. Where neither they nor the settings hold photos out, every eighth is"))
-        .arg(
-            Arg::new("seeds")
-                .long("seeds")
-                .value_name("LIST")
-                .default_value("1")
-                .help("Seeds of the trainings, with commas"),
-        )
+        .arg(each_of("seeds", "1", "Seeds of the trainings, with commas"))
         .arg(path("out", "Folder for results, page and images [default: .bench/reconstruction]"))
         .arg(path("page", "Write the page to this file as well, without images of the photos"))
         .arg(json());

@@ -1,11 +1,11 @@
 //! `segwild bench scale`
 
 use super::command_line::command_line;
-use super::scene_args::{each_of, photo_sizes};
+use super::scene_args::{each_of, only, photo_sizes};
 use crate::args::{examples, json, list, numbers, path, path_of};
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
-use clap::{Arg, ArgMatches, Command};
+use clap::{ArgMatches, Command};
 use segwild_bench::scale::{AXES, Fit, ScaleOptions, along, scale as measure_all, write};
 use segwild_eval::record::Record;
 use std::path::PathBuf;
@@ -15,12 +15,9 @@ pub fn command() -> Command {
     Command::new("scale")
         .about("How time and memory grow, with slopes: splats, photos, pixels, channels, objects, clicks")
         .after_help(examples("segwild bench scale", "segwild bench scale --photo-counts 10,100 --splat-counts 2000,16000"))
-        .arg(
-            Arg::new("only")
-                .long("only")
-                .value_name("LIST")
-                .help("Axes to measure, with commas: kernels splats, kernels pixels, kernels channels, photos, splats, pixels, objects, clicks [default: all]"),
-        )
+        .arg(only(
+            "Axes to measure, with commas: kernels splats, kernels pixels, kernels channels, photos, splats, pixels, objects, clicks [default: all]",
+        ))
         .arg(each_of("kernel-splats", "1000,10000,100000,500000,2000000", "Splats of the kernels' frame"))
         .arg(each_of("kernel-pixels", "160,320,640,1280", "Widths of the kernels' frame"))
         .arg(each_of("kernel-channels", "3,16,32,64,128", "Channels of the kernels' frame"))

@@ -38,6 +38,11 @@ pub fn each_of(name: &'static str, default: &'static str, help: &'static str) ->
     Arg::new(name).long(name).value_name("LIST").default_value(default).help(help)
 }
 
+/// `--only`: the parts of a benchmark that are measured.
+pub fn only(help: &'static str) -> Arg {
+    Arg::new("only").long("only").value_name("LIST").help(help)
+}
+
 /// `--sizes`: photos at each of them.
 pub fn photo_sizes(default: &'static str) -> Arg {
     each_of("sizes", default, "Long sides of the photos in pixels, with commas")

@@ -1,12 +1,12 @@
 //! `segwild bench stability`
 
 use super::command_line::command_line;
-use super::scene_args::{photo_count, pixels, providers, providers_of};
+use super::scene_args::{each_of, only, photo_count, pixels, providers, providers_of};
 use crate::args::{examples, given, json, list, numbers, path, path_of, with_settings_in_long_help};
 use crate::failure::Failure;
 use crate::operators::use_threads;
 use crate::output::{print_json, print_line};
-use clap::{Arg, ArgMatches, Command};
+use clap::{ArgMatches, Command};
 use segwild_bench::stability::{StabilityOptions, curves, defaults, stability as measure_all, write};
 use segwild_eval::record::{Record, means};
 use segwild_pipeline::Settings;
@@ -21,19 +21,8 @@ pub fn command() -> Command {
             "segwild bench stability",
             "segwild bench stability --photo-count 20 --page stability.md",
         ))
-        .arg(
-            Arg::new("only")
-                .long("only")
-                .value_name("LIST")
-                .help("Stresses to measure, with commas; also seeds, bytes and kernels [default: all]"),
-        )
-        .arg(
-            Arg::new("seeds")
-                .long("seeds")
-                .value_name("LIST")
-                .default_value("1")
-                .help("Seeds of the scenes and of the trainings, with commas"),
-        )
+        .arg(only("Stresses to measure, with commas; also seeds, bytes and kernels [default: all]"))
+        .arg(each_of("seeds", "1", "Seeds of the scenes and of the trainings, with commas"))
         .arg(providers())
         .arg(photo_count("20"))
         .arg(pixels("160"))
