@@ -43,6 +43,19 @@ pub fn path(name: &'static str, help: &'static str) -> Arg {
     Arg::new(name).long(name).value_name("PATH").value_parser(value_parser!(PathBuf)).help(help)
 }
 
+/// `--out` and `--config` of commands that make a run.
+pub fn run_files() -> [Arg; 2] {
+    [
+        path("out", "Run folder [default: runs/NAME]"),
+        path("config", "Settings file [default: segwild.toml in the run folder, if there]"),
+    ]
+}
+
+/// `--token-file` of servers.
+pub fn token_file() -> Arg {
+    path("token-file", "Read the token that clients need from this file; it is made where it is missing")
+}
+
 /// `--photo`; it may be repeated.
 pub fn photos(help: &'static str) -> Arg {
     Arg::new("photo").long("photo").value_name("NAME").action(ArgAction::Append).help(help)

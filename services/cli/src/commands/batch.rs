@@ -52,17 +52,7 @@ pub fn batch(matches: &ArgMatches) -> Result<(), Failure> {
         return on_farm(matches, &farm, &manifest, &out);
     }
     let _server = listen(matches, out.clone(), matches.get_flag("metrics-per-scene"))?;
-    let stop = StopBatch::default();
-    let flags = stop.clone();
-    on_ctrl_c(move |press| match press {
-        1 => {
-            print_note("stopping the scenes where they can continue; once more to stop at once");
-            flags.raise(StopLevel::Stop);
-        }
-        2 => flags.raise(StopLevel::AtOnce),
-        // Scenes end with their standard input: nobody is left behind.
-        _ => std::process::exit(exit::INTERRUPTED.into()),
-    })?;
+    let stop = stop_on_presses("stopping the scenes where they can continue; once more to stop at once")?;
     let program = std::env::current_exe()?;
     let options = BatchOptions {
         program,
@@ -79,6 +69,22 @@ pub fn batch(matches: &ArgMatches) -> Result<(), Failure> {
         return Err(Failure { message, code: exit::INTERRUPTED });
     }
     shown.ended(&summary, &out)
+}
+
+/// Stops scenes by Ctrl-C (or SIGTERM): at the first one, of which a note tells, where they can continue; at the second at once.
+pub fn stop_on_presses(note: &'static str) -> std::io::Result<StopBatch> {
+    let stop = StopBatch::default();
+    let flags = stop.clone();
+    on_ctrl_c(move |press| match press {
+        1 => {
+            print_note(note);
+            flags.raise(StopLevel::Stop);
+        }
+        2 => flags.raise(StopLevel::AtOnce),
+        // Scenes end with their standard input: nobody is left behind.
+        _ => std::process::exit(exit::INTERRUPTED.into()),
+    })?;
+    Ok(stop)
 }
 
 /// Hands the scenes to a farm and watches them.
@@ -114,17 +120,19 @@ fn on_farm(matches: &ArgMatches, farm: &ReachedFarm, manifest: &Path, out: &Path
 }
 
 /// Where events and the summary go.
-struct BatchOutput {
+pub struct BatchOutput {
     json: bool,
     report: Result<(), Failure>,
 }
 
 impl BatchOutput {
-    fn new(json: bool) -> Self {
+    /// To standard output as JSON, or as notes to standard error.
+    pub fn new(json: bool) -> Self {
         Self { json, report: Ok(()) }
     }
 
-    fn show(&mut self, event: &BatchEvent) {
+    /// Prints an event.
+    pub fn show(&mut self, event: &BatchEvent) {
         if !self.json {
             print_note(&plain(&in_words(event)));
         } else if self.report.is_ok() {
@@ -158,7 +166,7 @@ impl BatchOutput {
 }
 
 /// An event as a line.
-pub fn in_words(event: &BatchEvent) -> String {
+fn in_words(event: &BatchEvent) -> String {
     match event {
         BatchEvent::SceneFetches { scene, resumes: true } => {
             format!("{scene} is fetched, to continue what another attempt stored")

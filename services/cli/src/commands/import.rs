@@ -22,8 +22,7 @@ pub fn command() -> Command {
     )
     .arg(splats)
     .arg(args::path("photos", "The photos with their poses, as for `run` [default: views are rendered]"))
-    .arg(args::path("out", "Run folder [default: runs/NAME]"))
-    .arg(args::path("config", "Settings file [default: segwild.toml in the run folder, if there]"))
+    .args(args::run_files())
     .arg(until("Stop after this stage; a later one goes on from there"))
     .arg(json())
     .after_help(examples(

@@ -34,8 +34,7 @@ pub fn command() -> Command {
     )))
     .arg(scene)
     .arg(metrics_listen().hide_short_help(true))
-    .arg(args::path("out", "Run folder [default: runs/NAME]"))
-    .arg(args::path("config", "Settings file [default: segwild.toml in the run folder, if there]"))
+    .args(args::run_files())
     .arg(until("Stop after this stage or training step; a later one goes on from there"))
     .arg(flag("explain", "Only print which stages would be computed again, and why"))
     .arg(

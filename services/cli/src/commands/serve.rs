@@ -39,10 +39,7 @@ pub fn command() -> Command {
                 .value_parser(value_parser!(SocketAddr))
                 .help("Serve the page here [default: 127.0.0.1:7777, or a free port where that is taken]"),
         )
-        .arg(args::path(
-            "token-file",
-            "Read the token that clients need from this file; it is made where it is missing",
-        ))
+        .arg(args::token_file())
         .arg(
             number(
                 "session-memory",

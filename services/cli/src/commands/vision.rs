@@ -26,10 +26,7 @@ pub fn command() -> Command {
                 .value_parser(value_parser!(SocketAddr))
                 .help("Serve the models here [default: 127.0.0.1:50051]"),
         )
-        .arg(args::path(
-            "token-file",
-            "Read the token that clients need from this file; it is made where it is missing",
-        ))
+        .arg(args::token_file())
         .arg(
             args::path("tls-cert", "Certificate of the service (PEM): clients connect by grpcs://")
                 .requires("tls-key"),

@@ -1,15 +1,14 @@
 //! `segwild worker`
 
-use super::batch::in_words;
+use super::batch::{BatchOutput, stop_on_presses};
 use crate::args::{self, examples, flag, number, path_of};
 use crate::exit;
-use crate::failure::{Failure, plain};
+use crate::failure::Failure;
 use crate::farm::{farm_args, reach};
 use crate::operators::have_files_to_open;
-use crate::output::{print_json, print_note};
-use crate::progress::on_ctrl_c;
+use crate::output::print_note;
 use clap::{Arg, ArgMatches, Command, value_parser};
-use segwild_farm::{Needs, StopBatch, StopLevel, WorkerTerms, usual_budget, work};
+use segwild_farm::{Needs, WorkerTerms, usual_budget, work};
 use std::path::Path;
 use std::time::Duration;
 
@@ -90,17 +89,8 @@ fn gib(text: &str) -> Result<u64, String> {
 pub fn worker(matches: &ArgMatches) -> Result<(), Failure> {
     have_files_to_open()?;
     let farm = reach(matches, "worker")?.expect("clap requires --farm");
-    let json = matches.get_flag("json");
-    let stop = StopBatch::default();
-    let flags = stop.clone();
-    on_ctrl_c(move |press| match press {
-        1 => {
-            print_note("storing what the scenes have, and handing them back; once more to stop at once");
-            flags.raise(StopLevel::Stop);
-        }
-        2 => flags.raise(StopLevel::AtOnce),
-        _ => std::process::exit(exit::INTERRUPTED.into()),
-    })?;
+    let stop =
+        stop_on_presses("storing what the scenes have, and handing them back; once more to stop at once")?;
     let given = matches.get_one::<Capacity>("needs").cloned().unwrap_or_default();
     let usual = usual_budget();
     let budget = Needs {
@@ -125,15 +115,8 @@ pub fn worker(matches: &ArgMatches) -> Result<(), Failure> {
         stop,
     };
     print_note(&format!("working for {}", farm.engine.address()));
-    let mut report = Ok(());
-    let stopped = work(terms, &mut |event| {
-        if !json {
-            print_note(&plain(&in_words(event)));
-        } else if report.is_ok() {
-            // Nobody listening is no reason to stop working.
-            report = print_json(event);
-        }
-    })?;
+    let mut events = BatchOutput::new(matches.get_flag("json"));
+    let stopped = work(terms, &mut |event| events.show(event))?;
     match stopped {
         // Of one that drains, 0 says that no scene is left.
         true if matches.get_flag("drain") => Err(Failure {
