@@ -1,6 +1,6 @@
 //! Lines on standard output, safe to show on a terminal: text for a person, JSON for a program.
 
-use crate::failure::Failure;
+use crate::failure::{Failure, plain};
 use segwild_flow::files::name::{one_line, shown};
 use serde::Serialize;
 use std::borrow::Cow;
@@ -39,6 +39,11 @@ pub fn print_line(line: &str) -> Result<(), Failure> {
 /// panic.
 pub fn print_note(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// Prints a warning on standard error, as it is safe to show: it may hold names that somebody else gave.
+pub fn print_warning(message: &str) {
+    print_note(&format!("warning: {}", plain(message)));
 }
 
 fn print_raw(line: &str) -> Result<(), Failure> {

@@ -1,8 +1,8 @@
 //! `segwild eval`
 
 use crate::args::{self, examples, json, path_of, selection};
-use crate::failure::{Failure, plain};
-use crate::output::{print_json, print_line};
+use crate::failure::Failure;
+use crate::output::{print_json, print_line, print_warning};
 use clap::{ArgMatches, Command};
 use segwild_pipeline::{HeldOut, RunFolder};
 
@@ -41,7 +41,7 @@ pub fn eval(matches: &ArgMatches) -> Result<(), Failure> {
         return print_json(&score);
     }
     for unread in &score.unread {
-        eprintln!("warning: {}; this photo does not count", plain(unread));
+        print_warning(&format!("{unread}; this photo does not count"));
     }
     if let Some(provider) = &score.provider {
         print_line(&format!("masks of the provider {provider}"))?;
@@ -101,7 +101,7 @@ fn transients(folder: &RunFolder, truth: &std::path::Path, json: bool) -> Result
         return print_json(&scores);
     }
     for unread in &scores.unread {
-        eprintln!("warning: {}; this photo does not count", plain(unread));
+        print_warning(&format!("{unread}; this photo does not count"));
     }
     print_line(&format!("{:>7} {:>9} {:>9}  photo", "IoU", "covered %", "wrong %"))?;
     for p in &scores.photos {

@@ -3,7 +3,7 @@
 use crate::args::{self, examples, json, path_of};
 use crate::failure::Failure;
 use crate::operators::use_threads;
-use crate::output::{print_json, print_line, print_note};
+use crate::output::{print_json, print_line, print_warning};
 use crate::progress::stop_on_ctrl_c;
 use clap::builder::PossibleValuesParser;
 use clap::{Arg, ArgAction, ArgMatches, Command};
@@ -72,7 +72,7 @@ pub fn objects(matches: &ArgMatches) -> Result<(), Failure> {
         Session::open(&folder, SessionOptions { stopper: stopper.clone(), ..SessionOptions::default() })?;
     let mut listed = list_objects(&session, &stopper)?;
     if let Some(why) = &listed.not_kept {
-        print_note(&format!("warning: the list is not kept: {why}"));
+        print_warning(&format!("the list is not kept: {why}"));
     }
     for (object, name) in &renames {
         listed.list.rename(object, name)?;

@@ -5,9 +5,9 @@ use super::scene_args::{
     each_of, light, light_of, occlusion, only, parts, parts_of, photo_count, pixels, providers, providers_of,
 };
 use crate::args::{examples, given, json, list, numbers, path, path_of, with_settings_in_long_help};
-use crate::failure::{Failure, plain};
+use crate::failure::Failure;
 use crate::operators::use_threads;
-use crate::output::{print_json, print_line};
+use crate::output::{print_json, print_line, print_warning};
 use clap::{ArgMatches, Command};
 use segwild_bench::chart::{ChartBase, ChartEvent, ChartOptions, chart as measure_all, write};
 use segwild_bench::point::{PhotoSource, PointJob, measure};
@@ -126,7 +126,7 @@ fn tell(event: &ChartEvent, json: bool) {
             ))
         }
         ChartEvent::Failed { point, error } => {
-            eprintln!("warning: {}", plain(&format!("{point} could not be measured: {error}")));
+            print_warning(&format!("{point} could not be measured: {error}"));
             Ok(())
         }
     };

@@ -5,7 +5,7 @@ use super::scene_args::scenes_and_sizes;
 use crate::args::{examples, flag, given, json, number, numbers, path, path_of, with_settings_in_long_help};
 use crate::failure::Failure;
 use crate::operators::use_threads;
-use crate::output::{print_json, print_line};
+use crate::output::{print_json, print_line, print_warning};
 use clap::{ArgMatches, Command, value_parser};
 use segwild_bench::random_clicks::{ClickOptions, random_clicks, write};
 use segwild_eval::record::Record;
@@ -66,7 +66,7 @@ pub fn clicks(matches: &ArgMatches) -> Result<(), Failure> {
         let _ = if json { print_json(record) } else { tell(record) };
     })?;
     for what in &results.missing {
-        eprintln!("warning: not measured: {what}");
+        print_warning(&format!("not measured: {what}"));
     }
     let page = write(&options.out, path_of(matches, "page").as_deref(), &results)?;
     if json {

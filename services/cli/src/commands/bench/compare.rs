@@ -3,7 +3,7 @@
 use crate::args::{flag, json};
 use crate::exit;
 use crate::failure::Failure;
-use crate::output::{print_json, print_line};
+use crate::output::{print_json, print_line, print_warning};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_eval::compare::{Change, CompareOptions, compare as compare_all, names_its_provider};
 use segwild_eval::record::Results;
@@ -52,7 +52,9 @@ pub fn compare(matches: &ArgMatches) -> Result<(), Failure> {
     let margins = *matches.get_one::<f64>("margins").expect("it has a default");
     for (which, results) in [("old", &old), ("new", &new)] {
         if !names_its_provider(results) {
-            eprintln!("warning: the {which} results do not say who made their masks: they may not compare");
+            print_warning(&format!(
+                "the {which} results do not say who made their masks: they may not compare"
+            ));
         }
     }
     let options = CompareOptions { strict: matches.get_flag("strict"), margins };

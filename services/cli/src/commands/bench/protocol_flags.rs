@@ -7,7 +7,7 @@ use crate::args::{
 };
 use crate::failure::Failure;
 use crate::operators::use_threads;
-use crate::output::{print_json, print_line};
+use crate::output::{print_json, print_line, print_warning};
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use segwild_eval::protocols::tables::{all, page};
 use segwild_eval::protocols::{FoundScenes, ProtocolBase, ProtocolError, Table, measure};
@@ -184,7 +184,7 @@ pub fn measure_scenes(
     let file = flags.out.join("results.json");
     flags.results.write(&file).map_err(ProtocolError::from)?;
     for what in &flags.results.missing {
-        eprintln!("warning: not measured: {what}");
+        print_warning(&format!("not measured: {what}"));
     }
     Ok(())
 }

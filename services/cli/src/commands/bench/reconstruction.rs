@@ -5,7 +5,7 @@ use super::scene_args::{each_of, scenes_and_sizes};
 use crate::args::{examples, given, json, numbers, path, path_of, with_settings_in_long_help};
 use crate::failure::Failure;
 use crate::operators::use_threads;
-use crate::output::{print_json, print_line};
+use crate::output::{print_json, print_line, print_warning};
 use clap::{ArgMatches, Command};
 use segwild_bench::reconstruction::{ReconstructionOptions, reconstruction as measure_all, write};
 use segwild_eval::record::{LPIPS_COLUMNS, Record};
@@ -46,7 +46,7 @@ pub fn reconstruction(matches: &ArgMatches) -> Result<(), Failure> {
     };
     let results = measure_all(&options, report)?;
     for what in &results.missing {
-        eprintln!("warning: not measured: {what}");
+        print_warning(&format!("not measured: {what}"));
     }
     let page = write(&options.out, path_of(matches, "page").as_deref(), &results)?;
     if json {
