@@ -16,6 +16,14 @@ pub enum SyntheticError {
         /// The photo within its split.
         index: usize,
     },
+    /// Who follows the writing stopped it.
+    #[error("stopped after {written} of {photos} photos; the same command writes all of them again")]
+    Stopped {
+        /// Photos that were written.
+        written: usize,
+        /// Photos of the set.
+        photos: usize,
+    },
     /// A file cannot be written.
     #[error(transparent)]
     Scene(#[from] SceneError),

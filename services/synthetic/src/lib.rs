@@ -4,8 +4,8 @@
 //! The photos come from a ray tracer of its own, never from the rasteriser that learns from them. This crate makes and
 //! writes scenes and knows nothing of training, masks or scores: `segwild-eval` puts scenes through the program.
 //!
-//! Start reading at `generate.rs`: `layout.rs` builds the world, `cameras.rs` chooses the views, `trace.rs` takes the
-//! photos. `write.rs` has the files.
+//! Start reading at `plan.rs`: `layout.rs` builds the world, `cameras.rs` chooses the views, `points.rs` samples the points,
+//! `trace.rs` takes the photos, one by one. `write.rs` has the files. `generate.rs` keeps all photos in memory.
 //!
 //! ```
 //! use segwild_synthetic::{SyntheticOptions, generate};
@@ -31,6 +31,8 @@ mod light;
 mod material;
 mod options;
 mod photo;
+mod plan;
+mod planned;
 mod points;
 pub mod random;
 mod scene;
@@ -39,6 +41,7 @@ mod statue;
 mod surroundings;
 mod trace;
 mod transient;
+mod truth;
 mod world;
 mod write;
 
@@ -47,7 +50,8 @@ pub use generate::generate;
 pub use light::{Day, PhotoLight};
 pub use options::{LightVariation, SyntheticOptions};
 pub use photo::SyntheticPhoto;
+pub use plan::SyntheticPlan;
 pub use points::SyntheticPoint;
 pub use scene::SyntheticScene;
+pub use truth::{CLICKS, Click, Manifest, ObjectTruth, PhotoTruth};
 pub use world::{Instance, ObjectKind, WorldPart};
-pub use write::{CLICKS, Click, Manifest, ObjectTruth, PhotoTruth};

@@ -35,7 +35,28 @@ pub struct SyntheticPhoto {
     pub photo_light: PhotoLight,
 }
 
+/// What a reconstruction keeps of a photo: no pixels.
+#[derive(Clone, Debug)]
+pub struct PhotoRecord {
+    /// File name.
+    pub name: String,
+    /// Intrinsics.
+    pub camera: Camera,
+    /// World to camera, in file units.
+    pub pose: Pose,
+    /// The translation of `pose` before it was rounded.
+    pub translation: DVec3,
+    /// Whether it is held out.
+    pub test: bool,
+}
+
 impl SyntheticPhoto {
+    /// What a reconstruction keeps of it.
+    pub(crate) fn record(&self) -> PhotoRecord {
+        let SyntheticPhoto { ref name, camera, pose, translation, test, .. } = *self;
+        PhotoRecord { name: name.clone(), camera, pose, translation, test }
+    }
+
     /// The pixels of an instance, transients aside; id 0 gives the sky.
     pub fn mask(&self, instance: u16) -> Mask {
         select(&self.camera, &self.instances, instance)

@@ -20,7 +20,7 @@ pub struct SyntheticScene {
     pub instances: Vec<Instance>,
     /// The parts of all instances; an id is an index, 0 is the sky.
     pub parts: Vec<WorldPart>,
-    /// The photos, training and test mixed, in the order of their names.
+    /// The photos, training and test mixed, in the order of the numbers in their names.
     pub photos: Vec<SyntheticPhoto>,
     /// The points a reconstruction would have.
     pub points: Vec<SyntheticPoint>,

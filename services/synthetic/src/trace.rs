@@ -34,13 +34,13 @@ struct Pixel {
     covered: bool,
 }
 
+/// Rows that are traced at once: until they are stored, they take as much memory again as what is stored of them.
+const BAND: usize = 256;
+
 /// Renders a shot.
 pub fn expose(world: &SyntheticWorld, shot: &CameraShot, photo_light: &PhotoLight, crowd: &Crowd) -> Exposed {
     let (w, h) = (shot.camera.width as usize, shot.camera.height as usize);
-    let lens = PhotoTracer { world, shot, photo_light, crowd, canonical: PhotoLight::canonical() };
-    let suns = (sun_samples(lens.canonical.day.sun), sun_samples(photo_light.day.sun));
-    let rows: Vec<Vec<Pixel>> =
-        (0..h).into_par_iter().map(|y| (0..w).map(|x| lens.pixel(x, y, &suns)).collect()).collect();
+    let lens = PhotoTracer::new(world, shot, photo_light, crowd);
     let mut out = Exposed {
         photo: Image::zeros(w, h, 3),
         clean: Image::zeros(w, h, 3),
@@ -48,18 +48,45 @@ pub fn expose(world: &SyntheticWorld, shot: &CameraShot, photo_light: &PhotoLigh
         parts: Vec::with_capacity(w * h),
         transients: Mask::empty(w as u32, h as u32),
     };
-    for (i, pixel) in rows.into_iter().flatten().enumerate() {
-        for c in 0..3 {
-            out.photo.data[c * w * h + i] = eight_bits(pixel.photo[c]);
-            out.clean.data[c * w * h + i] = eight_bits(pixel.clean[c]);
-        }
-        out.depth.push(pixel.depth);
-        out.parts.push(pixel.part);
-        if pixel.covered {
-            out.transients.set((i % w) as u32, (i / w) as u32, true);
+    for top in (0..h).step_by(BAND) {
+        let rows = (top..h.min(top + BAND)).into_par_iter();
+        let rows: Vec<Vec<Pixel>> = rows.map(|y| (0..w).map(|x| lens.pixel(x, y)).collect()).collect();
+        for (i, pixel) in (top * w..).zip(rows.into_iter().flatten()) {
+            for c in 0..3 {
+                out.photo.data[c * w * h + i] = eight_bits(pixel.photo[c]);
+                out.clean.data[c * w * h + i] = eight_bits(pixel.clean[c]);
+            }
+            out.depth.push(pixel.depth);
+            out.parts.push(pixel.part);
+            if pixel.covered {
+                out.transients.set((i % w) as u32, (i / w) as u32, true);
+            }
         }
     }
     out
+}
+
+/// What [`expose`] gives as the photo's sRGB at one pixel.
+pub fn colour_at(
+    world: &SyntheticWorld,
+    shot: &CameraShot,
+    photo_light: &PhotoLight,
+    crowd: &Crowd,
+    [x, y]: [usize; 2],
+) -> Vec3 {
+    let photo = PhotoTracer::new(world, shot, photo_light, crowd).pixel(x, y).photo;
+    Vec3::from_array(photo.to_array().map(eight_bits))
+}
+
+/// Whether [`expose`] finds that a transient touches a pixel.
+pub fn is_covered(shot: &CameraShot, crowd: &Crowd, [x, y]: [usize; 2]) -> bool {
+    let (corner, frame) = (Vec2::new(x as f32, y as f32), frame_of(shot));
+    SAMPLES.into_iter().any(|offset| crowd.at(corner + offset, frame.x, frame.y).is_some())
+}
+
+/// Width and height of a shot in pixels.
+fn frame_of(shot: &CameraShot) -> Vec2 {
+    Vec2::new(shot.camera.width as f32, shot.camera.height as f32)
 }
 
 /// The value as an 8-bit file keeps it, so that a photo in memory and its file are the same.
@@ -73,14 +100,27 @@ struct PhotoTracer<'a> {
     photo_light: &'a PhotoLight,
     crowd: &'a Crowd,
     canonical: PhotoLight,
+    /// Directions to the sun, one per sample of a pixel: those of the canonical light, and the photo's own.
+    suns: ([Vec3; 4], [Vec3; 4]),
 }
 
-impl PhotoTracer<'_> {
+impl<'a> PhotoTracer<'a> {
+    fn new(
+        world: &'a SyntheticWorld,
+        shot: &'a CameraShot,
+        photo_light: &'a PhotoLight,
+        crowd: &'a Crowd,
+    ) -> PhotoTracer<'a> {
+        let canonical = PhotoLight::canonical();
+        let suns = (sun_samples(canonical.day.sun), sun_samples(photo_light.day.sun));
+        PhotoTracer { world, shot, photo_light, crowd, canonical, suns }
+    }
+
     fn ray(&self, pixel: Vec2) -> Vec3 {
         (self.shot.pose.rotation.transpose() * self.shot.camera.ray(pixel)).normalize()
     }
 
-    fn pixel(&self, x: usize, y: usize, suns: &([Vec3; 4], [Vec3; 4])) -> Pixel {
+    fn pixel(&self, x: usize, y: usize) -> Pixel {
         let camera = &self.shot.camera;
         let corner = Vec2::new(x as f32, y as f32);
         let middle = corner + Vec2::splat(0.5);
@@ -89,7 +129,7 @@ impl PhotoTracer<'_> {
         let forward = self.shot.pose.rotation.transpose() * Vec3::Z;
         let (depth, part) = hit.map_or((0.0, 0), |hit| (hit.t * towards.dot(forward), self.world.part(&hit)));
 
-        let frame = Vec2::new(camera.width as f32, camera.height as f32);
+        let frame = frame_of(self.shot);
         let edge = (middle - frame / 2.0).length() / (frame.length() / 2.0);
         let sky = |day: &Day| day.sky(towards);
         let (mut sky_clean, mut sky_own) = (None, None);
@@ -110,9 +150,9 @@ impl PhotoTracer<'_> {
                 }
                 Some(hit) => {
                     let spot = self.world.spot(self.shot.eye, d, &hit, 1.0 / camera.fx, k);
-                    let plain = self.world.radiance(&spot, &self.canonical.day, suns.0[k], hit.t);
+                    let plain = self.world.radiance(&spot, &self.canonical.day, self.suns.0[k], hit.t);
                     let own = if self.photo_light.own_day && transient.is_none() {
-                        self.world.radiance(&spot, &self.photo_light.day, suns.1[k], hit.t)
+                        self.world.radiance(&spot, &self.photo_light.day, self.suns.1[k], hit.t)
                     } else {
                         plain
                     };

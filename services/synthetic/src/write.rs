@@ -1,78 +1,21 @@
-//! Writes a set as a COLMAP scene with its truth beside it.
+//! Writes a set as a COLMAP scene with its truth beside it, photo by photo.
 
 use crate::error::SyntheticError;
 use crate::options::SyntheticOptions;
-use crate::photo::SyntheticPhoto;
+use crate::photo::{PhotoRecord, SyntheticPhoto};
+use crate::points::SyntheticPoint;
 use crate::scene::SyntheticScene;
-use crate::world::{Instance, ObjectKind, WorldPart};
+use crate::truth::{Manifest, TruthBuilder};
+use crate::world::{Instance, WorldPart};
 use glam::{DMat3, DQuat};
-use segwild_files as files;
+use rayon::prelude::*;
+use segwild_files::{FileError, write_atomic};
 use segwild_scene::colmap::{
     self, CameraModel, CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction,
 };
 use segwild_scene::{Image, SceneError};
-use serde::{Deserialize, Serialize};
+use std::io::ErrorKind;
 use std::path::Path;
-
-/// What `truth.json` says.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Manifest {
-    /// The options that it was made with.
-    pub options: SyntheticOptions,
-    /// The photos, in order.
-    pub photos: Vec<PhotoTruth>,
-    /// The named things; an id is an index, 0 is the sky.
-    pub instances: Vec<Instance>,
-    /// The parts; an id is an index, 0 is the sky.
-    pub parts: Vec<WorldPart>,
-    /// The instances with masks in `truth/<name>/`, in the order of their ids.
-    pub objects: Vec<ObjectTruth>,
-}
-
-/// One photo in `truth.json`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PhotoTruth {
-    /// File name.
-    pub name: String,
-    /// Whether it is held out.
-    pub test: bool,
-    /// Whether it was taken from the front.
-    pub front: bool,
-    /// Share of its pixels that transients touch.
-    pub covered: f32,
-}
-
-/// One instance in `truth.json`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ObjectTruth {
-    /// Its id.
-    pub id: u16,
-    /// Its name.
-    pub name: String,
-    /// What it is good for.
-    pub kind: ObjectKind,
-    /// Photos to click on it, the best first, at most [`CLICKS`].
-    pub clicks: Vec<Click>,
-}
-
-/// A click deep inside an object.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Click {
-    /// The photo.
-    pub photo: String,
-    /// Pixel position, x.
-    pub x: f32,
-    /// Pixel position, y.
-    pub y: f32,
-    /// Pixels of the object that the photo shows.
-    pub visible: usize,
-}
-
-/// Most clicks that `truth.json` gives for an object.
-pub const CLICKS: usize = 6;
-
-/// Share of what a photo shows of an object that transients must leave uncovered for the photo to show it well.
-const UNCOVERED: f32 = 0.9;
 
 impl SyntheticScene {
     /// Writes the set into a folder, which is made if it is not there:
@@ -83,147 +26,180 @@ impl SyntheticScene {
     /// - `truth/clean`, `truth/sky`, `truth/transient`, `truth/instance` and `truth/part` (8-bit ids), `truth/depth`
     ///   (`.pfm`, file units, 0 = sky).
     pub fn write(&self, dir: &Path) -> Result<Manifest, SyntheticError> {
-        let manifest = self.manifest();
-        let truth = dir.join("truth");
-        let folder = |path: &Path| std::fs::create_dir_all(path).map_err(SceneError::io(path));
-        folder(&dir.join("images"))?;
-        for name in ["clean", "sky", "transient", "instance", "part", "depth"] {
-            folder(&truth.join(name))?;
-        }
-        for object in &manifest.objects {
-            folder(&truth.join(&object.name))?;
-        }
+        let mut writer = SetWriter::new(dir, &self.options, &self.instances)?;
         for photo in &self.photos {
-            let named = |kind: &str| truth.join(kind).join(&photo.name);
-            photo.photo.write_png(&dir.join("images").join(&photo.name))?;
-            photo.clean.write_png(&named("clean"))?;
-            photo.sky().write_png(&named("sky"))?;
-            photo.transients.write_png(&named("transient"))?;
-            ids(photo, &photo.instances).write_png(&named("instance"))?;
-            ids(photo, &photo.parts).write_png(&named("part"))?;
-            let depth = named("depth").with_extension("pfm");
-            files::write_plain(&depth, pfm(photo)).map_err(SceneError::io(&depth))?;
-            for object in &manifest.objects {
-                photo.mask(object.id).write_png(&named(&object.name))?;
-            }
+            writer.add(photo)?;
         }
-        colmap::write(&dir.join("sparse/0"), &self.reconstruction())?;
-        let split = dir.join("split.tsv");
-        files::write_plain(&split, self.split()).map_err(SceneError::io(&split))?;
-        let path = dir.join("truth.json");
-        let text = serde_json::to_string_pretty(&manifest)
-            .map_err(|e| SceneError::invalid(&path, "manifest", e.to_string()))?;
-        files::write_plain(&path, text + "\n").map_err(SceneError::io(&path))?;
-        Ok(manifest)
-    }
-
-    /// What `truth.json` says.
-    pub fn manifest(&self) -> Manifest {
-        let photos = self.photos.iter().map(|p| PhotoTruth {
-            name: p.name.clone(),
-            test: p.test,
-            front: p.front,
-            covered: p.transients.count() as f32 / p.instances.len() as f32,
-        });
-        let objects = (1..self.instances.len() as u16).map(|id| {
-            let instance = &self.instances[usize::from(id)];
-            ObjectTruth { id, name: instance.name.clone(), kind: instance.kind, clicks: self.clicks(id) }
-        });
-        Manifest {
-            options: self.options.clone(),
-            photos: photos.collect(),
-            instances: self.instances.clone(),
-            parts: self.parts.clone(),
-            objects: objects.collect(),
-        }
-    }
-
-    /// Clicks on an instance in the training photos that show it best: first those in which no part of it is out of
-    /// the frame and transients cover little of it, the largest first, then the others.
-    pub fn clicks(&self, instance: u16) -> Vec<Click> {
-        let mut clicks: Vec<(bool, Click)> = self
-            .photos
-            .iter()
-            .filter(|p| !p.test)
-            .filter_map(|p| {
-                let whole = p.mask(instance);
-                let visible = whole.minus(&p.transients).count();
-                if visible * 250 < p.instances.len() {
-                    return None;
-                }
-                let [x, y] = p.click(instance)?;
-                let (w, h) = (whole.width(), whole.height());
-                let cut_off = whole.pixels().any(|(x, y)| x == 0 || y == 0 || x + 1 == w || y + 1 == h);
-                let well = !cut_off && visible as f32 >= UNCOVERED * whole.count() as f32;
-                Some((well, Click { photo: p.name.clone(), x, y, visible }))
-            })
-            .collect();
-        clicks.sort_by(|(a_well, a), (b_well, b)| {
-            b_well.cmp(a_well).then(b.visible.cmp(&a.visible)).then_with(|| a.photo.cmp(&b.photo))
-        });
-        let mut clicks: Vec<Click> = clicks.into_iter().map(|(_, click)| click).collect();
-        clicks.truncate(CLICKS);
-        clicks
+        writer.finish(&self.options, &self.parts, &self.records(), &self.points)
     }
 
     /// The scene as COLMAP's records.
     pub fn reconstruction(&self) -> Reconstruction {
-        let mut out = Reconstruction::default();
-        for (i, photo) in self.photos.iter().enumerate() {
-            let id = i as u32 + 1;
-            let c = &photo.camera;
-            out.cameras.push(CameraRecord {
-                id,
-                model: CameraModel::Pinhole,
-                width: u64::from(c.width),
-                height: u64::from(c.height),
-                params: [c.fx, c.fy, c.cx, c.cy].map(f64::from).to_vec(),
-            });
-            let q = DQuat::from_mat3(&DMat3::from_cols_array(
-                &photo.pose.rotation.to_cols_array().map(f64::from),
-            ))
-            .normalize();
-            out.images.push(ImageRecord {
-                id,
-                rotation: [q.w, q.x, q.y, q.z],
-                translation: photo.translation.to_array(),
-                camera_id: id,
-                name: photo.name.clone(),
-                keypoints: Vec::new(),
-            });
-        }
-        for (i, point) in self.points.iter().enumerate() {
-            let id = i as u64 + 1;
-            let mut track = Vec::with_capacity(point.track.len());
-            let mut error = 0.0;
-            for seen in &point.track {
-                let photo = &self.photos[seen.view as usize];
-                let p = photo.pose.to_camera(point.position.as_vec3());
-                let offset = photo.camera.pixel(p) - glam::Vec2::from(seen.pixel);
-                error += f64::from(if p.z > 0.0 { offset.length() } else { 0.0 });
-                let keypoints = &mut out.images[seen.view as usize].keypoints;
-                track.push((seen.view + 1, keypoints.len() as u32));
-                keypoints.push(Keypoint { pixel: seen.pixel.map(f64::from), point: Some(id) });
-            }
-            out.points.push(PointRecord {
-                id,
-                position: point.position.to_array(),
-                colour: point.colour.map(|c| (c * 255.0).round() as u8),
-                error: error / point.track.len().max(1) as f64,
-                track,
-            });
-        }
-        out
+        reconstruction(&self.records(), &self.points)
     }
 
-    fn split(&self) -> String {
-        let mut text = String::from("filename\tid\tsplit\tdataset\n");
-        for (i, photo) in self.photos.iter().enumerate() {
-            let part = if photo.test { "test" } else { "train" };
-            text += &format!("{}\t{}\t{part}\tsynthetic\n", photo.name, i + 1);
-        }
-        text
+    fn records(&self) -> Vec<PhotoRecord> {
+        self.photos.iter().map(SyntheticPhoto::record).collect()
     }
+}
+
+/// Writes a set photo by photo, and keeps no pixels of what is written.
+pub struct SetWriter<'a> {
+    dir: &'a Path,
+    /// Ids and names of the instances with masks.
+    objects: Vec<(u16, String)>,
+    truth: TruthBuilder,
+}
+
+impl<'a> SetWriter<'a> {
+    /// Makes the folders of a set. What makes a scene of another set that the folder holds is removed: its photos are about to be
+    /// written over.
+    pub fn new(
+        dir: &'a Path,
+        options: &SyntheticOptions,
+        instances: &[Instance],
+    ) -> Result<SetWriter<'a>, SyntheticError> {
+        forget_other_set(dir, options)?;
+        let objects: Vec<(u16, String)> =
+            (0..).zip(instances).skip(1).map(|(id, instance)| (id, instance.name.clone())).collect();
+        let kinds = ["clean", "sky", "transient", "instance", "part", "depth"].into_iter();
+        let kinds = kinds.chain(objects.iter().map(|(_, name)| name.as_str()));
+        for folder in kinds.map(|kind| dir.join("truth").join(kind)).chain([dir.join("images")]) {
+            let failed = |e| SceneError::from(FileError::new("create the folder", &folder, e));
+            std::fs::create_dir_all(&folder).map_err(failed)?;
+        }
+        Ok(SetWriter { dir, objects, truth: TruthBuilder::new(instances) })
+    }
+
+    /// Writes the files of the next photo, several at a time.
+    pub fn add(&mut self, photo: &SyntheticPhoto) -> Result<(), SyntheticError> {
+        let SetWriter { dir, objects, truth } = self;
+        let (written, ()) = rayon::join(|| write_photo(dir, objects, photo), || truth.add(photo));
+        Ok(written?)
+    }
+
+    /// Writes what the set has besides its photos: those that were added, in the same order.
+    pub fn finish(
+        self,
+        options: &SyntheticOptions,
+        parts: &[WorldPart],
+        photos: &[PhotoRecord],
+        points: &[SyntheticPoint],
+    ) -> Result<Manifest, SyntheticError> {
+        colmap::write(&self.dir.join("sparse/0"), &reconstruction(photos, points))?;
+        write_atomic(&self.dir.join("split.tsv"), split(photos).as_bytes()).map_err(SceneError::from)?;
+        let manifest = self.truth.manifest(options, parts);
+        let path = self.dir.join("truth.json");
+        let text = serde_json::to_string_pretty(&manifest)
+            .map_err(|e| SceneError::invalid(&path, "manifest", e.to_string()))?;
+        write_atomic(&path, (text + "\n").as_bytes()).map_err(SceneError::from)?;
+        Ok(manifest)
+    }
+}
+
+/// Removes the reconstruction and the manifest of another set. Of the same set they stay: they are written again as they are.
+fn forget_other_set(dir: &Path, options: &SyntheticOptions) -> Result<(), SceneError> {
+    let path = dir.join("truth.json");
+    let text = std::fs::read(&path).ok();
+    let held: Option<Manifest> = text.and_then(|text| serde_json::from_slice(&text).ok());
+    if held.is_none_or(|held| held.options == *options) {
+        return Ok(());
+    }
+    // The manifest last: it tells whoever is stopped before.
+    for name in
+        ["sparse/0/cameras.bin", "sparse/0/images.bin", "sparse/0/points3D.bin", "split.tsv", "truth.json"]
+    {
+        let file = dir.join(name);
+        match std::fs::remove_file(&file) {
+            Err(e) if e.kind() != ErrorKind::NotFound => {
+                return Err(FileError::new("remove", &file, e).into());
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// One file to write.
+type FileJob<'a> = Box<dyn FnOnce() -> Result<(), SceneError> + Send + 'a>;
+
+/// Writes a photo and its truth. `objects`: ids and names of the instances with masks.
+fn write_photo(dir: &Path, objects: &[(u16, String)], photo: &SyntheticPhoto) -> Result<(), SceneError> {
+    let named = |kind: &str| dir.join("truth").join(kind).join(&photo.name);
+    let named = &named;
+    let mut files: Vec<FileJob<'_>> = vec![
+        Box::new(|| photo.photo.write_png(&dir.join("images").join(&photo.name))),
+        Box::new(|| photo.clean.write_png(&named("clean"))),
+        Box::new(|| {
+            write_atomic(&named("depth").with_extension("pfm"), &pfm(photo)).map_err(SceneError::from)
+        }),
+        Box::new(|| ids(photo, &photo.instances).write_png(&named("instance"))),
+        Box::new(|| ids(photo, &photo.parts).write_png(&named("part"))),
+        Box::new(|| photo.sky().write_png(&named("sky"))),
+        Box::new(|| photo.transients.write_png(&named("transient"))),
+    ];
+    for (id, name) in objects {
+        files.push(Box::new(move || photo.mask(*id).write_png(&named(name))));
+    }
+    files.into_par_iter().try_for_each(|write| write())
+}
+
+/// A set as COLMAP's records.
+fn reconstruction(photos: &[PhotoRecord], points: &[SyntheticPoint]) -> Reconstruction {
+    let mut out = Reconstruction::default();
+    for (i, photo) in photos.iter().enumerate() {
+        let id = i as u32 + 1;
+        let c = &photo.camera;
+        out.cameras.push(CameraRecord {
+            id,
+            model: CameraModel::Pinhole,
+            width: u64::from(c.width),
+            height: u64::from(c.height),
+            params: [c.fx, c.fy, c.cx, c.cy].map(f64::from).to_vec(),
+        });
+        let columns = photo.pose.rotation.to_cols_array().map(f64::from);
+        let q = DQuat::from_mat3(&DMat3::from_cols_array(&columns)).normalize();
+        out.images.push(ImageRecord {
+            id,
+            rotation: [q.w, q.x, q.y, q.z],
+            translation: photo.translation.to_array(),
+            camera_id: id,
+            name: photo.name.clone(),
+            keypoints: Vec::new(),
+        });
+    }
+    for (i, point) in points.iter().enumerate() {
+        let id = i as u64 + 1;
+        let mut track = Vec::with_capacity(point.track.len());
+        let mut error = 0.0;
+        for seen in &point.track {
+            let photo = &photos[seen.view as usize];
+            let p = photo.pose.to_camera(point.position.as_vec3());
+            let offset = photo.camera.pixel(p) - glam::Vec2::from(seen.pixel);
+            error += f64::from(if p.z > 0.0 { offset.length() } else { 0.0 });
+            let keypoints = &mut out.images[seen.view as usize].keypoints;
+            track.push((seen.view + 1, keypoints.len() as u32));
+            keypoints.push(Keypoint { pixel: seen.pixel.map(f64::from), point: Some(id) });
+        }
+        out.points.push(PointRecord {
+            id,
+            position: point.position.to_array(),
+            colour: point.colour.map(|c| (c * 255.0).round() as u8),
+            error: error / point.track.len().max(1) as f64,
+            track,
+        });
+    }
+    out
+}
+
+/// The split as a table of Photo Tourism.
+fn split(photos: &[PhotoRecord]) -> String {
+    let mut text = String::from("filename\tid\tsplit\tdataset\n");
+    for (i, photo) in photos.iter().enumerate() {
+        let part = if photo.test { "test" } else { "train" };
+        text += &format!("{}\t{}\t{part}\tsynthetic\n", photo.name, i + 1);
+    }
+    text
 }
 
 /// Ids as an image whose 8-bit values are the ids; there are fewer than 256 of either kind.
