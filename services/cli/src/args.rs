@@ -24,6 +24,17 @@ pub fn number(name: &'static str, default: &'static str, help: &'static str) -> 
     Arg::new(name).long(name).value_name("N").default_value(default).help(help)
 }
 
+/// `--photo-count` of synthetic scenes.
+pub fn photo_count(default: &'static str) -> Arg {
+    number("photo-count", default, "Training photos of each synthetic scene").value_parser(value_parser!(u32))
+}
+
+/// `--pixels` of synthetic scenes.
+pub fn pixels(default: &'static str) -> Arg {
+    number("pixels", default, "Long side of a synthetic scene's photos, in pixels")
+        .value_parser(value_parser!(u32).range(16..=4096))
+}
+
 /// `--until`.
 pub fn until(help: &'static str) -> Arg {
     Arg::new("until")

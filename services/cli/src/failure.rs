@@ -256,6 +256,7 @@ impl From<SyntheticError> for Failure {
     fn from(error: SyntheticError) -> Failure {
         match error {
             SyntheticError::Scene(error) => RunError::from(error).into(),
+            SyntheticError::Stopped { .. } => Failure { message: error.to_string(), code: exit::INTERRUPTED },
             other => Failure { message: other.to_string(), code: exit::FAILED },
         }
     }

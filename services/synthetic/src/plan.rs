@@ -50,11 +50,12 @@ impl SyntheticPlan {
             (test, *next - 1)
         });
         let split: Vec<(bool, usize)> = ranked.collect();
-        let sampled = split.par_iter().enumerate().map(|(index, &(test, rank))| {
+        let sample = |index: usize| {
+            let (test, rank) = split[index];
             PlannedPhoto::sample(&world, options, index, test, rank)
-        });
+        };
         // The first that fails is the one that is reported, whichever thread is the fastest.
-        let sampled: Vec<Result<PlannedPhoto, SyntheticError>> = sampled.collect();
+        let sampled: Vec<Result<_, _>> = (0..count).into_par_iter().map(sample).collect();
         let planned = sampled.into_iter().collect::<Result<Vec<PlannedPhoto>, SyntheticError>>()?;
         let points = reconstruct(&world, options, &planned);
         Ok(SyntheticPlan { options: options.clone(), world, planned, points })

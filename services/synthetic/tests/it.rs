@@ -2,7 +2,13 @@
 
 use glam::{DVec3, Vec2, Vec3};
 use segwild_scene::{Image, Mask, Scene, SceneSettings};
-use segwild_synthetic::{LightVariation, ObjectKind, SyntheticOptions, SyntheticScene, generate};
+use segwild_synthetic::{
+    CLICKS, LightVariation, ObjectKind, SyntheticError, SyntheticOptions, SyntheticPlan, SyntheticScene,
+    generate,
+};
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 fn options() -> SyntheticOptions {
@@ -38,6 +44,111 @@ fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
     }
     let other = with(2, &SyntheticOptions { seed: 2, ..options });
     assert_ne!(one.photos[0].clean, other.photos[0].clean);
+}
+
+/// The bytes of all files below a folder.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let (mut found, mut open) = (BTreeMap::new(), vec![folder.to_owned()]);
+    while let Some(next) = open.pop() {
+        for entry in std::fs::read_dir(&next).unwrap().flatten() {
+            let path = entry.path();
+            if path.is_dir() {
+                open.push(path);
+            } else {
+                found.insert(path.strip_prefix(folder).unwrap().to_owned(), std::fs::read(&path).unwrap());
+            }
+        }
+    }
+    found
+}
+
+/// Few photos, for tests that write them.
+fn few() -> SyntheticOptions {
+    SyntheticOptions { train: 4, test: 1, long_side: 64, points: 100, ..options() }
+}
+
+#[test]
+fn photos_taken_one_by_one_are_those_of_the_whole_set() {
+    let (scene, plan) = (generate(&few()).unwrap(), SyntheticPlan::new(&few()).unwrap());
+    assert_eq!((plan.points(), plan.photo_count()), (&scene.points[..], 5));
+    // In any order, and again.
+    for index in [3, 0, 4, 3] {
+        let (a, b) = (plan.photo(index), &scene.photos[index]);
+        assert_eq!((&a.photo, &a.clean, &a.depth, &a.parts), (&b.photo, &b.clean, &b.depth, &b.parts));
+        assert_eq!((&a.instances, &a.transients, a.test), (&b.instances, &b.transients, b.test));
+        assert_eq!((&a.name, a.pose, &a.photo_light), (&b.name, b.pose, &b.photo_light));
+    }
+    let (whole, streamed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let mut counts = Vec::new();
+    let report = |count: usize| {
+        counts.push(count);
+        ControlFlow::Continue(())
+    };
+    let manifest = plan.write(streamed.path(), report).unwrap();
+    assert_eq!(counts, [1, 2, 3, 4, 5]);
+    assert_eq!(manifest, scene.write(whole.path()).unwrap());
+    assert_eq!(manifest, scene.manifest());
+    let (whole, streamed) = (files(whole.path()), files(streamed.path()));
+    assert!(whole.len() > 5 * (7 + scene.objects().len()), "{}", whole.len());
+    assert!(whole.keys().eq(streamed.keys()));
+    assert!(whole.iter().all(|(name, bytes)| streamed[name] == *bytes));
+}
+
+#[test]
+fn a_set_that_is_stopped_leaves_no_scene_of_another_one() {
+    let dir = tempfile::tempdir().unwrap();
+    generate(&few()).unwrap().write(dir.path()).unwrap();
+    let other = SyntheticOptions { occlusion: 0.1, ..few() };
+    let plan = SyntheticPlan::new(&other).unwrap();
+    let stop = |count: usize| if count == 2 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+    let stopped = plan.write(dir.path(), stop);
+    assert!(matches!(stopped, Err(SyntheticError::Stopped { written: 2, photos: 5 })), "{stopped:?}");
+    assert!(!dir.path().join("truth.json").exists() && !dir.path().join("sparse/0/images.bin").exists());
+    plan.write(dir.path(), |_| ControlFlow::Continue(())).unwrap();
+    let whole = tempfile::tempdir().unwrap();
+    generate(&other).unwrap().write(whole.path()).unwrap();
+    assert!(files(dir.path()) == files(whole.path()));
+}
+
+#[test]
+fn points_have_the_colours_that_their_photos_show() {
+    let exact = SyntheticOptions { pixel_noise: 0.0, outliers: 0.0, ..few() };
+    let scene = generate(&exact).unwrap();
+    assert!(scene.points.len() > 50, "{}", scene.points.len());
+    for point in &scene.points {
+        let mut sum = Vec3::ZERO;
+        for seen in &point.track {
+            let (photo, [x, y]) = (&scene.photos[seen.view as usize], seen.pixel);
+            assert!(!photo.transients.at(x, y), "{x}, {y} of {}", photo.name);
+            let at = |channel| photo.photo.at(channel, x as usize, y as usize);
+            sum += Vec3::new(at(0), at(1), at(2));
+        }
+        assert_eq!(point.colour, (sum / point.track.len() as f32).to_array());
+    }
+}
+
+#[test]
+fn clicks_lie_in_the_photos_that_show_an_object_best() {
+    let scene = scene();
+    for object in 1..scene.instances.len() as u16 {
+        let mut ranks = Vec::new();
+        for photo in scene.photos.iter().filter(|p| !p.test) {
+            let whole = photo.mask(object);
+            let visible = whole.minus(&photo.transients).count();
+            let Some([x, y]) = photo.click(object).filter(|_| visible * 250 >= photo.depth.len()) else {
+                continue;
+            };
+            let (w, h) = (whole.width() - 1, whole.height() - 1);
+            let inside = whole.pixels().all(|(x, y)| x > 0 && y > 0 && x < w && y < h);
+            let well = inside && visible as f32 >= 0.9 * whole.count() as f32;
+            ranks.push((!well, std::cmp::Reverse(visible), photo.name.clone(), [x, y]));
+        }
+        ranks.sort_by(|a, b| (a.0, a.1, &a.2).cmp(&(b.0, b.1, &b.2)));
+        ranks.truncate(CLICKS);
+        let clicks = scene.clicks(object).into_iter().map(|c| (c.photo, [c.x, c.y]));
+        let best: Vec<_> = ranks.into_iter().map(|(_, _, photo, at)| (photo, at)).collect();
+        assert_eq!(clicks.collect::<Vec<_>>(), best, "{}", scene.instances[usize::from(object)].name);
+    }
 }
 
 #[test]

@@ -2,10 +2,11 @@
 
 use super::row::{FlowError, io};
 use segwild_pipeline::Settings;
-use segwild_synthetic::{LightVariation, Manifest, SyntheticOptions, generate};
+use segwild_synthetic::{LightVariation, Manifest, SyntheticOptions, SyntheticPlan};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-/// A small synthetic scene with `train` photos, written to `dir`.
+/// A small synthetic scene with `train` photos, written to `dir` photo by photo: this process keeps none of them.
 pub(super) fn write_scene(dir: &Path, train: usize, long_side: u32) -> Result<Manifest, FlowError> {
     let options = SyntheticOptions {
         train,
@@ -16,7 +17,7 @@ pub(super) fn write_scene(dir: &Path, train: usize, long_side: u32) -> Result<Ma
         photo_light: LightVariation::Affine,
         ..SyntheticOptions::small()
     };
-    Ok(generate(&options)?.write(dir)?)
+    Ok(SyntheticPlan::new(&options)?.write(dir, |_| ControlFlow::Continue(()))?)
 }
 
 /// A quick preset, with changes. The appearance model is named: the short fits that would choose one come before the dataflow,

@@ -2,25 +2,42 @@
 
 use super::run::{run_scene, tell};
 use super::serve::{page_of_run, serve_args, stay};
-use crate::args::{self, examples, flag, json, path_of};
+use crate::args::{self, examples, flag, json, path_of, photo_count, pixels};
+use crate::exit;
 use crate::failure::Failure;
-use crate::output::{print_json, print_line};
+use crate::output::{print_json, print_line, print_note};
+use crate::progress::{on_ctrl_c, show};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use segwild_eval::oracle::OracleOptions;
 use segwild_eval::trial::{ProviderKind, Trial};
-use segwild_flow::Stopper;
+use segwild_flow::{Events, Phase, Stopper};
 use segwild_pipeline::{Mode, PhotoPrompts, Preset, RenderRequest, Settings, render};
-use segwild_synthetic::SyntheticOptions;
-use std::path::PathBuf;
+use segwild_synthetic::{Manifest, SyntheticOptions, SyntheticPlan, SyntheticScene};
+use std::ops::{ControlFlow, RangeInclusive};
+use std::path::{Path, PathBuf};
 
 /// Objects that the demo selects: they stand by themselves.
 const OBJECTS: [&str; 4] = ["left_pavilion", "right_pavilion", "statue_left", "statue_right"];
 
+/// Training photos for each one that is held out.
+const HELD_OUT: usize = 12;
+
+/// Fewest and most training photos: points need two, and a set has 4000 photos at most, those that are held out included.
+const PHOTOS: RangeInclusive<i64> = 2..=3600;
+
+/// Most pixels of all photos of a whole demo. It keeps them and their truth in memory, 32 bytes a pixel, which are 2 GiB; by
+/// choice.
+const MOST_PIXELS: u64 = 64 << 20;
+
 /// The set of the demo: enough photos to see every object from all sides, in the light of one season, with few visitors.
-fn photos(seed: u64) -> SyntheticOptions {
+fn photos(matches: &ArgMatches) -> SyntheticOptions {
+    let number = |name: &str| *matches.get_one::<u32>(name).expect("it has a default");
+    let train = number("photo-count") as usize;
     SyntheticOptions {
-        seed,
-        train: 48,
+        seed: *matches.get_one::<u64>("scene-seed").expect("it has a default"),
+        train,
+        test: train.div_ceil(HELD_OUT),
+        long_side: number("pixels"),
         occlusion: 0.06,
         appearance_strength: 0.7,
         points: 4000,
@@ -44,9 +61,14 @@ pub fn command() -> Command {
                 .default_value("3")
                 .help("Another number makes another scene"),
         )
+        .arg(photo_count("48").value_parser(value_parser!(u32).range(PHOTOS)))
+        .arg(pixels("240"))
         .arg(flag("photos-only", "Only write the photos and their poses, for `segwild run`"))
         .arg(json())
-        .after_help(examples("segwild demo", "segwild demo --scene-seed 7 --photos-only --out photos/seven"));
+        .after_help(examples(
+            "segwild demo",
+            "segwild demo --photos-only --photo-count 1000 --pixels 1600 --out photos/large",
+        ));
     serve_args(command)
 }
 
@@ -54,20 +76,15 @@ pub fn command() -> Command {
 pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
     let out = path_of(matches, "out").unwrap_or_else(|| PathBuf::from("runs/demo"));
     let json = matches.get_flag("json");
-    let seed = *matches.get_one::<u64>("scene-seed").expect("it has a default");
-    let options = photos(seed);
-    let trial = Trial::new(&out, &options, ProviderKind::Builtin, &OracleOptions::default())?;
+    let options = photos(matches);
     let scene_dir = out.join("scene");
-    if !json {
-        print_line(&format!(
-            "a synthetic scene in {} tourist photos: {}",
-            trial.manifest().photos.len(),
-            scene_dir.display()
-        ))?;
-    }
     if matches.get_flag("photos-only") {
-        return Ok(());
+        return tell_photos(&write_photos(&options, &scene_dir, json)?, &scene_dir, json);
     }
+    fits_in_memory(&options)?;
+    let scene = take_photos(&options, json)?;
+    let trial = Trial::of(&out, scene, ProviderKind::Builtin, &OracleOptions::default())?;
+    tell_photos(trial.manifest(), &scene_dir, json)?;
     let mut settings = Settings::preset(Preset::Draft);
     settings.train.steps = STEPS;
     let run_dir = out.join("run");
@@ -117,6 +134,68 @@ pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
     Ok(())
 }
 
+/// Refuses a whole demo of more pixels than it keeps in memory.
+fn fits_in_memory(options: &SyntheticOptions) -> Result<(), Failure> {
+    let (photos, side) = ((options.train + options.test) as u64, u64::from(options.long_side));
+    // No photo is wider than 4:3.
+    let each = side * side * 3 / 4;
+    if photos * each <= MOST_PIXELS {
+        return Ok(());
+    }
+    Err(Failure::usage(format!(
+        "{photos} photos of {side} px ({} of them held out) are too many for a whole demo, which keeps all of them in \
+         memory: at this size it takes {}; add --photos-only, and run `segwild run` on the folder",
+        options.test,
+        MOST_PIXELS / each
+    )))
+}
+
+/// Writes the photos one by one, until Ctrl-C: two of them are in memory at a time.
+fn write_photos(options: &SyntheticOptions, dir: &Path, json: bool) -> Result<Manifest, Failure> {
+    let stopper = Stopper::new();
+    let pressed = stopper.clone();
+    on_ctrl_c(move |press| {
+        if press > 1 {
+            std::process::exit(exit::INTERRUPTED.into());
+        }
+        print_note("stopping after this photo; once more to stop at once");
+        pressed.stop();
+    })?;
+    // Before the cameras of a large scene are sampled, which takes a while.
+    std::fs::create_dir_all(dir).map_err(|e| Failure::cannot_write(dir, &e))?;
+    let events = Events::new();
+    let sink = show(&events, json)?;
+    let plan = SyntheticPlan::new(options)?;
+    let mut stage = events.stage("photos", Some(plan.photo_count() as u64));
+    let manifest = plan.write(dir, |_| {
+        stage.advance(1);
+        if stopper.phase() == Phase::Running { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+    })?;
+    stage.finish();
+    drop(sink); // everything that happened is shown before the last word
+    Ok(manifest)
+}
+
+/// Takes all photos into memory.
+fn take_photos(options: &SyntheticOptions, json: bool) -> Result<SyntheticScene, Failure> {
+    let events = Events::new();
+    let sink = show(&events, json)?;
+    let plan = SyntheticPlan::new(options)?;
+    let mut stage = events.stage("photos", Some(plan.photo_count() as u64));
+    let photos = plan.photos().inspect(|_| stage.advance(1)).collect();
+    stage.finish();
+    drop(sink);
+    Ok(plan.with_photos(photos))
+}
+
+/// Says where the photos are.
+fn tell_photos(manifest: &Manifest, dir: &Path, json: bool) -> Result<(), Failure> {
+    if json {
+        return Ok(());
+    }
+    print_line(&format!("a synthetic scene in {} tourist photos: {}", manifest.photos.len(), dir.display()))
+}
+
 /// The prompts as the flags of `segwild segment`.
 fn in_words(flags: &PhotoPrompts) -> String {
     let mut words = format!("--photo {}", flags.photo);
@@ -127,4 +206,35 @@ fn in_words(flags: &PhotoPrompts) -> String {
         words += &format!(" {} {},{}", if p.inside { "--positive" } else { "--negative" }, p.x, p.y);
     }
     words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{command, fits_in_memory, photos};
+    use segwild_synthetic::SyntheticOptions;
+
+    #[test]
+    fn the_number_and_size_of_the_photos_change_nothing_else_of_the_scene() {
+        let of = |args: &[&str]| photos(&command().get_matches_from([&["demo"][..], args].concat()));
+        let usual = SyntheticOptions {
+            seed: 3,
+            train: 48,
+            test: 4,
+            long_side: 240,
+            occlusion: 0.06,
+            appearance_strength: 0.7,
+            points: 4000,
+            ..SyntheticOptions::default()
+        };
+        assert_eq!(of(&[]), usual);
+        let large = of(&["--photo-count", "1000", "--pixels", "1600"]);
+        assert_eq!(large, SyntheticOptions { train: 1000, test: 84, long_side: 1600, ..usual.clone() });
+        assert!(fits_in_memory(&usual).is_ok());
+        let refused = fits_in_memory(&large).expect_err("60 GiB").message;
+        assert!(refused.starts_with("1084 photos of 1600 px (84 of them held out)"), "{refused}");
+        assert!(refused.contains("it takes 34;") && refused.contains("--photos-only"), "{refused}");
+        for bound in ["--photo-count=2", "--photo-count=3600", "--pixels=16", "--pixels=4096"] {
+            assert!(command().try_get_matches_from(["demo", bound]).is_ok(), "{bound}");
+        }
+    }
 }

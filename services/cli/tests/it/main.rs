@@ -9,6 +9,7 @@ mod charts;
 mod cli;
 mod crowd;
 mod cut_off;
+mod demo;
 mod depends;
 mod deploying;
 mod disk;

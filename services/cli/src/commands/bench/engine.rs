@@ -1,8 +1,8 @@
 //! `segwild bench engine`
 
 use super::command_line::command_line;
-use super::scene_args::{each_of, pixels};
-use crate::args::{examples, flag, json, list, numbers, path, path_of};
+use super::scene_args::each_of;
+use crate::args::{examples, flag, json, list, numbers, path, path_of, pixels};
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
 use clap::{Arg, ArgMatches, Command, value_parser};

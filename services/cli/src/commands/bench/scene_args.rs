@@ -1,6 +1,6 @@
 //! Arguments of benchmarks about their scenes: what synthetic ones are made of, who sees, where given ones lie.
 
-use crate::args::{number, path, path_of};
+use crate::args::{number, path, path_of, photo_count, pixels};
 use crate::failure::Failure;
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::{Arg, ArgMatches, Command, value_parser};
@@ -14,17 +14,6 @@ use std::path::PathBuf;
 /// Adds what a synthetic scene is made of.
 pub fn with_scene(command: Command, photos: &'static str, long_side: &'static str) -> Command {
     command.arg(photo_count(photos)).arg(pixels(long_side))
-}
-
-/// `--photo-count` of synthetic scenes.
-pub fn photo_count(default: &'static str) -> Arg {
-    number("photo-count", default, "Training photos of each synthetic scene").value_parser(value_parser!(u32))
-}
-
-/// `--pixels` of synthetic scenes.
-pub fn pixels(default: &'static str) -> Arg {
-    number("pixels", default, "Long side of a synthetic scene's photos, in pixels")
-        .value_parser(value_parser!(u32).range(16..=4096))
 }
 
 /// `--occlusion` of synthetic scenes.

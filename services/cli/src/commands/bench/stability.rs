@@ -1,8 +1,10 @@
 //! `segwild bench stability`
 
 use super::command_line::command_line;
-use super::scene_args::{each_of, only, photo_count, pixels, providers, providers_of};
-use crate::args::{examples, given, json, list, numbers, path, path_of, with_settings_in_long_help};
+use super::scene_args::{each_of, only, providers, providers_of};
+use crate::args::{
+    examples, given, json, list, numbers, path, path_of, photo_count, pixels, with_settings_in_long_help,
+};
 use crate::failure::Failure;
 use crate::operators::use_threads;
 use crate::output::{print_json, print_line};
