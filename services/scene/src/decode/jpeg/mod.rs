@@ -92,14 +92,14 @@ impl JpegFrame {
     }
 }
 
-/// The inverse cosine transform of the `n` lowest of eight coefficients to `n` pixels, by pixel and coefficient.
+/// The inverse cosine transform of the `n` lowest of eight coefficients to `n` pixels, by coefficient and pixel.
 fn waves(n: usize) -> [[f32; 8]; 8] {
-    let wave = |x: usize, k: usize| {
+    let wave = |k: usize, x: usize| {
         let c = if k == 0 { std::f64::consts::FRAC_1_SQRT_2 } else { 1.0 };
         let angle = (2 * x + 1) as f64 * k as f64 * std::f64::consts::PI / (2 * n) as f64;
         (0.5 * c * angle.cos()) as f32
     };
-    std::array::from_fn(|x| std::array::from_fn(|k| if x < n && k < n { wave(x, k) } else { 0.0 }))
+    std::array::from_fn(|k| std::array::from_fn(|x| if x < n && k < n { wave(k, x) } else { 0.0 }))
 }
 
 /// A component's samples at the smaller size.
@@ -112,25 +112,49 @@ struct ComponentPlane {
 }
 
 impl ComponentPlane {
-    fn put(&mut self, (x, y): (usize, usize), block: &CoefficientBlock, table: &[u16; 64]) {
-        let (w, h) = self.size;
-        // Rows first: `half[v][x]` of coefficient row v.
-        let mut half = [[0f32; 8]; 8];
+    fn put(&mut self, at: (usize, usize), block: &CoefficientBlock, table: &[u16; 64]) {
+        match self.size.0 {
+            1 => self.transform::<1>(at, block, table),
+            2 => self.transform::<2>(at, block, table),
+            4 => self.transform::<4>(at, block, table),
+            _ => self.transform::<8>(at, block, table),
+        }
+    }
+
+    /// Transforms a block to `W` samples across, which the compiler knows, so that it computes several at once.
+    fn transform<const W: usize>(
+        &mut self,
+        (x, y): (usize, usize),
+        block: &CoefficientBlock,
+        table: &[u16; 64],
+    ) {
+        let h = self.size.1;
+        // Rows first: `half[v]` of coefficient row v. Rows after the last that is not all zero add nothing.
+        let mut half = [[0f32; W]; 8];
+        let mut filled = 0;
         for (v, line) in half.iter_mut().enumerate().take(h) {
-            for u in 0..w {
-                let value = f32::from(block[8 * v + u]) * f32::from(table[8 * v + u]);
-                if value != 0.0 {
-                    for (sum, wave) in line.iter_mut().zip(&self.waves.0).take(w) {
-                        *sum += value * wave[u];
-                    }
+            let (values, steps) = (&block[8 * v..8 * v + W], &table[8 * v..8 * v + W]);
+            if values.iter().fold(0, |any, value| any | value) == 0 {
+                continue;
+            }
+            filled = v + 1;
+            for ((value, step), wave) in values.iter().zip(steps).zip(&self.waves.0) {
+                let value = f32::from(*value) * f32::from(*step);
+                for (sum, wave) in line.iter_mut().zip(wave) {
+                    *sum += value * wave;
                 }
             }
         }
         for row in 0..h {
-            let first = (y * h + row) * self.stride + x * w;
-            for (column, sample) in self.samples[first..first + w].iter_mut().enumerate() {
-                let value: f32 = (0..h).map(|v| half[v][column] * self.waves.1[row][v]).sum();
-                *sample = (value + 128.5).clamp(0.0, 255.0) as u8;
+            let mut sums = [0f32; W];
+            for (line, wave) in half[..filled].iter().zip(&self.waves.1) {
+                for (sum, value) in sums.iter_mut().zip(line) {
+                    *sum += value * wave[row];
+                }
+            }
+            let first = (y * h + row) * self.stride + x * W;
+            for (sample, sum) in self.samples[first..first + W].iter_mut().zip(sums) {
+                *sample = (sum + 128.5).clamp(0.0, 255.0) as u8;
             }
         }
     }
@@ -186,16 +210,25 @@ pub(crate) fn scaled(
         let image = GrayImage::from_raw(width as u32, height as u32, pixels);
         return Ok((image.ok_or(NO_SIZE)?.into(), extent));
     }
-    let steps: Vec<(usize, usize)> =
-        (0..3).map(|c| (frame.components[c].h * planes[c].size.0, most_h * scale)).collect();
     let rgb = frame.is_rgb(bytes);
-    let mut pixels = Vec::with_capacity(3 * width * height);
+    let mut pixels = vec![0; 3 * width * height];
+    let mut lines: [Vec<u8>; 3] = std::array::from_fn(|_| vec![0; width]);
     for y in 0..height {
-        let rows = [row(0, y), row(1, y), row(2, y)];
-        for x in 0..width {
-            let at = |c: usize| rows[c][x * steps[c].0 / steps[c].1];
-            let value = [at(0), at(1), at(2)];
-            pixels.extend(if rgb { value } else { colour(value) });
+        for (c, line) in lines.iter_mut().enumerate() {
+            let (samples, step, of) = (row(c, y), frame.components[c].h * planes[c].size.0, most_h * scale);
+            if step == of {
+                line.copy_from_slice(&samples[..width]);
+            } else {
+                // Where a component cannot be transformed to the image's size, its samples repeat.
+                line.iter_mut().enumerate().for_each(|(x, sample)| *sample = samples[x * step / of]);
+            }
+        }
+        let [first, second, third] = &lines;
+        let values = first.iter().zip(second).zip(third).map(|((&a, &b), &c)| [a, b, c]);
+        let pixels = pixels[3 * width * y..][..3 * width].chunks_exact_mut(3).zip(values);
+        match rgb {
+            true => pixels.for_each(|(pixel, value)| pixel.copy_from_slice(&value)),
+            false => pixels.for_each(|(pixel, value)| pixel.copy_from_slice(&colour(value))),
         }
     }
     let image = RgbImage::from_raw(width as u32, height as u32, pixels);

@@ -51,6 +51,57 @@ fn every_kind_of_jpeg_decodes_smaller_to_the_mean_of_what_it_decodes_to_whole() 
     }
 }
 
+/// The inverse cosine transform of a block's lowest coefficients to `w` x `h` samples by its definition, in f64.
+fn by_definition(block: &CoefficientBlock, table: &[u16; 64], (w, h): (usize, usize)) -> Vec<f64> {
+    let wave = |k: usize, at: usize, n: usize| {
+        let c = if k == 0 { 0.5f64.sqrt() } else { 1.0 };
+        0.5 * c * ((2 * at + 1) as f64 * k as f64 * std::f64::consts::PI / (2 * n) as f64).cos()
+    };
+    let term = |k: usize, x: usize, y: usize| {
+        let (u, v) = (k % 8, k / 8);
+        let within = u < w && v < h;
+        let value = f64::from(block[k]) * f64::from(table[k]);
+        if within { value * wave(u, x, w) * wave(v, y, h) } else { 0.0 }
+    };
+    let sample = |i: usize| 128.0 + (0..64).map(|k| term(k, i % w, i / w)).sum::<f64>();
+    (0..w * h).map(|i| sample(i).clamp(0.0, 255.0)).collect()
+}
+
+#[test]
+fn a_block_transforms_to_every_size_as_the_definition_says() {
+    let mut state = 1u64;
+    let mut random = |below: u64| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) % below
+    };
+    for round in 0..40 {
+        // From a mean alone to many coefficients; whole rows of zeros among them.
+        let mut block: CoefficientBlock = [0; 64];
+        block[0] = random(81) as i16 - 40;
+        for _ in 0..round {
+            block[random(64) as usize] = random(41) as i16 - 20;
+        }
+        let table: [u16; 64] = std::array::from_fn(|_| 1 + random(20) as u16);
+        for (w, h) in [1, 2, 4, 8].into_iter().flat_map(|w| [1, 2, 4, 8].map(|h| (w, h))) {
+            // The last of two by two blocks, so that neither the stride nor the position is without effect.
+            let mut plane = ComponentPlane {
+                size: (w, h),
+                waves: (waves(w), waves(h)),
+                stride: 2 * w,
+                samples: vec![0; 4 * w * h],
+            };
+            plane.put((1, 1), &block, &table);
+            let wanted = by_definition(&block, &table, (w, h));
+            for (i, &sample) in plane.samples.iter().enumerate() {
+                let (x, y) = (i % (2 * w), i / (2 * w));
+                let wanted = if x < w || y < h { 0.0 } else { wanted[(y - h) * w + x - w] };
+                let off = (f64::from(sample) - wanted).abs();
+                assert!(off < 0.51, "{w} x {h}, {round} coefficients, sample {x}, {y}: off by {off}");
+            }
+        }
+    }
+}
+
 #[test]
 fn whole_jpegs_are_not_taken_for_damaged() {
     for (kind, bytes) in KINDS.into_iter().chain([("cmyk", CMYK)]) {
