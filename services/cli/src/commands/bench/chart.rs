@@ -1,7 +1,9 @@
 //! `segwild bench chart`, and `segwild bench point`, which measures one of its points in a process of its own.
 
 use super::command_line::command_line;
-use super::scene_args::{each_of, light, light_of, occlusion, only, parts, parts_of, providers, providers_of};
+use super::scene_args::{
+    each_of, light, light_of, occlusion, only, parts, parts_of, providers, providers_of,
+};
 use crate::args::{
     examples, given, json, list, numbers, path, path_of, photo_count, pixels, with_settings_in_long_help,
 };
