@@ -148,6 +148,12 @@ impl PixelFeatures {
     }
 }
 
+/// The boundaries of a photo by the built-in detector.
+pub(crate) fn boundaries(image: &Image) -> Boundaries {
+    let normal = Lab::of(image).normalised();
+    detect(&normal, &texture_bins(&normal.l))
+}
+
 /// Regions by the boundaries, distinguished by colour and texture.
 fn analysed(image: &Image, lab: &Lab, normal: &Lab, edges: &Boundaries, texture: &[FloatPlane]) -> Analysis {
     let least = (image.pixels() / 19_000).max(4);

@@ -28,7 +28,7 @@ mod weights;
 
 use crate::{Embedder, MaskProposer, PromptSegmenter, Prompted, SkyDetector, VisionError};
 pub(crate) use analysis::check;
-use analysis::{Analysis, PixelFeatures};
+use analysis::{Analysis, PixelFeatures, boundaries};
 pub(crate) use memory::{Memory, Weighed};
 pub(crate) use plane::FloatPlane;
 pub use record::{RegionCache, Regions};
@@ -427,7 +427,12 @@ impl PromptSegmenter for Builtin {
     }
 
     fn boundary_strengths(&self, image: &Image) -> Result<Option<Image>, VisionError> {
-        let strength = self.pixels(image)?.edges.strength.clone();
+        let photo = &*fitted(image)?;
+        // The photo's regions, which take longer, are not needed.
+        let strength = match self.strength(photo, content(photo))? {
+            Some(strength) => strength,
+            None => boundaries(photo).strength,
+        };
         let map = Image { width: strength.width, height: strength.height, channels: 1, data: strength.data };
         Ok(Some(map.resized(image.width, image.height)))
     }
