@@ -31,11 +31,13 @@ impl ShownCounter {
         ShownCounter { photos: vec![0; splats], votes: vec![[0.0; 2]; splats] }
     }
 
-    /// Counts a photo: per splat the light in pixels that reaches it, and the light that would if nothing stood before it.
-    pub fn add(&mut self, light: &[f32], unoccluded: &[f32]) {
+    /// Counts a photo: per splat the light in pixels that reaches it, and the light that would if nothing stood before it. `pixel`: the
+    /// area of a pixel of the size that the scene is trained at, in pixels of the view that was rendered.
+    pub fn add(&mut self, light: &[f32], unoccluded: &[f32], pixel: f32) {
+        let floor = VOTE_FLOOR * pixel;
         let counts = self.photos.iter_mut().zip(&mut self.votes);
         for ((photos, [sum, most]), (&light, &whole)) in counts.zip(light.iter().zip(unoccluded)) {
-            let vote = light / (whole.max(light) + VOTE_FLOOR);
+            let vote = light / (whole.max(light) + floor);
             if vote > 0.0 {
                 *photos = photos.saturating_add(u16::from(vote >= MIN_SHOWN_VOTE));
                 (*sum, *most) = (*sum + vote, (*most).max(vote));
@@ -92,7 +94,7 @@ mod tests {
         let mut counter = ShownCounter::new(photos[0].len());
         for shares in photos {
             let light: Vec<f32> = shares.iter().map(|share| 99.0 * share).collect();
-            counter.add(&light, &vec![99.0; shares.len()]);
+            counter.add(&light, &vec![99.0; shares.len()], 1.0);
         }
         counter.counts()
     }
@@ -112,14 +114,23 @@ mod tests {
     #[test]
     fn far_from_it_a_photo_counts_as_much_as_near_to_it() {
         let mut counter = ShownCounter::new(1);
-        counter.add(&[4000.0], &[5000.0]);
-        counter.add(&[4.0], &[5.0]);
+        counter.add(&[4000.0], &[5000.0], 1.0);
+        counter.add(&[4.0], &[5.0], 1.0);
         assert_eq!(counter.counts(), [2]);
         // Of something smaller than a pixel a photo shows little.
         let mut counter = ShownCounter::new(1);
-        counter.add(&[4000.0], &[5000.0]);
-        counter.add(&[0.05], &[0.05]);
+        counter.add(&[4000.0], &[5000.0], 1.0);
+        counter.add(&[0.05], &[0.05], 1.0);
         assert_eq!(counter.counts(), [1]);
+    }
+
+    #[test]
+    fn a_smaller_render_of_a_photo_counts_as_much() {
+        let mut counter = ShownCounter::new(1);
+        counter.add(&[4.0], &[5.0], 1.0);
+        // A 25th of the pixels: as many photos show it as at full size.
+        counter.add(&[0.16], &[0.2], 0.04);
+        assert_eq!(counter.counts(), [2]);
     }
 
     #[test]

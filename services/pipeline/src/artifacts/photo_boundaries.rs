@@ -73,8 +73,8 @@ impl<'a> PhotoBoundaries<'a> {
         matches!(self, PhotoBoundaries::Masks { keys, .. } if keys.is_empty())
     }
 
-    /// The boundaries of a view's photo. Masks may have another size than the view at its `width` and `height`. Where they were given
-    /// up, the geometry alone has boundaries.
+    /// The boundaries of a view's photo at a `width` and `height` in pixels; photos and masks may have another size. Where masks were
+    /// given up, the geometry alone has boundaries.
     ///
     /// # Errors
     /// When the model fails, or the masks cannot be read.
@@ -88,7 +88,10 @@ impl<'a> PhotoBoundaries<'a> {
         match self {
             PhotoBoundaries::Model(segmenter) => {
                 let Ok(photo) = photos.read(view) else { return Ok(PhotoCue::LeftOut) };
-                let found = segmenter.boundary_strengths(&photo.image)?;
+                let found = match (photo.image.width, photo.image.height) == (width, height) {
+                    true => segmenter.boundary_strengths(&photo.image)?,
+                    false => segmenter.boundary_strengths(&photo.image.resized(width, height))?,
+                };
                 Ok(found.map_or(PhotoCue::Missing, PhotoCue::Strengths))
             }
             PhotoBoundaries::Masks { keys, read } => {

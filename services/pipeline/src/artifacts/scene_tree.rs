@@ -12,7 +12,12 @@ use segwild_trainer::Model;
 pub(crate) const OBJECTS: &str = "objects";
 
 /// Raised when the bytes of a tree of the same input change.
-const FORMAT: u32 = 3;
+const FORMAT: u32 = 4;
+
+/// Long side in pixels at which views are compared and their boundaries found, at most (method, section 13): the constants of
+/// boundaries and ranking are of this size. At 640 px stone and bricks have boundaries that part what belongs together
+/// (docs/experiments/2026-11-30-size-of-the-tree.md).
+const TREE_SIZE: u32 = 320;
 
 /// Name of the tree of a trained scene, whose boundaries `segmenter` finds.
 pub(crate) fn tree_key(geometry: &str, segmenter: &str) -> Key {
@@ -79,9 +84,11 @@ impl TreeSource<'_> {
             if stopping() {
                 return Err(RunError::Interrupted);
             }
-            let camera = view.camera.scaled_to(self.photos.long_side());
-            let (width, height) = (camera.width as usize, camera.height as usize);
-            let view = builder.see(&PosedView::from(view), width, height)?;
+            let trained = view.camera.scaled_to(self.photos.long_side());
+            let small = trained.scaled_to(TREE_SIZE);
+            let (width, height) = (small.width as usize, small.height as usize);
+            let view = PosedView { camera: trained, ..PosedView::from(view) };
+            let view = builder.see(&view, width, height)?;
             if !builder.needs(&view) {
                 builder.count(&view);
                 continue;

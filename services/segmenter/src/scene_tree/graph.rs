@@ -73,6 +73,8 @@ pub struct SplatsInView {
     light: Vec<f32>,
     /// The light that would if nothing stood before the splat.
     unoccluded: Vec<f32>,
+    /// Area of a pixel of the size that the scene is trained at, in pixels of this view.
+    pixel: f32,
     /// The splats that it sees, ascending.
     seen: Vec<u32>,
 }
@@ -200,7 +202,7 @@ impl<'a> TreeBuilder<'a> {
         }
     }
 
-    /// What a view sees of the splats, at the size of its boundaries in pixels.
+    /// What a view sees of the splats, at the size of its boundaries in pixels. Its camera has the size that the scene is trained at.
     ///
     /// # Errors
     /// When it cannot be rendered.
@@ -224,7 +226,9 @@ impl<'a> TreeBuilder<'a> {
             }
             false => None,
         };
-        Ok(SplatsInView { front, inverse, light, unoccluded, seen })
+        let trained = view.camera.width as f32 * view.camera.height as f32;
+        let pixel = (width * height) as f32 / trained;
+        Ok(SplatsInView { front, inverse, light, unoccluded, pixel, seen })
     }
 
     /// Whether enough of the splats that a view sees were seen by few of the views that had been added when it was
@@ -244,7 +248,7 @@ impl<'a> TreeBuilder<'a> {
     /// Counts the splats that a view shows, for [`SceneTree::shown_by`](super::SceneTree::shown_by). A view that is not needed takes
     /// part in nothing else; one that is added is counted with it.
     pub fn count(&mut self, view: &SplatsInView) {
-        self.shown.add(&view.light, &view.unoccluded);
+        self.shown.add(&view.light, &view.unoccluded, view.pixel);
     }
 
     /// Per splat, the photos that show it.
