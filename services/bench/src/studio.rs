@@ -253,11 +253,11 @@ pub fn write(out: &Path, results: &Results) -> Result<(), PageError> {
 
 fn write_row(record: &Record, text: &mut String) {
     let of = |name: &str| record.numbers.get(name).copied();
-    let shown = |value: Option<f64>, places: usize| value.map_or("-".into(), |v| format!("{v:.places$}"));
-    let number = |name: &str, places: usize| shown(of(name), places);
-    let spread = |name: &str, places: usize| match of(&format!("slowest_{name}")) {
+    let shown = |value: Option<f64>, digits: usize| value.map_or("-".into(), |v| format!("{v:.digits$}"));
+    let number = |name: &str, digits: usize| shown(of(name), digits);
+    let spread = |name: &str, digits: usize| match of(&format!("slowest_{name}")) {
         None => "-".to_owned(),
-        Some(slowest) => format!("{} ({slowest:.places$})", number(name, places)),
+        Some(slowest) => format!("{} ({slowest:.digits$})", number(name, digits)),
     };
     let _ = writeln!(
         text,
