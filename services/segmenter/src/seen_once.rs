@@ -128,8 +128,8 @@ mod tests {
     fn a_smaller_render_of_a_photo_counts_as_much() {
         let mut counter = ShownCounter::new(1);
         counter.add(&[4.0], &[5.0], 1.0);
-        // A 25th of the pixels: as many photos show it as at full size.
-        counter.add(&[0.16], &[0.2], 0.04);
+        // A 50th of the pixels: without their area, the floor would hide it.
+        counter.add(&[0.08], &[0.1], 0.02);
         assert_eq!(counter.counts(), [2]);
     }
 

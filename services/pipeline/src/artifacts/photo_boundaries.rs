@@ -129,3 +129,58 @@ fn recorded(rows: &[ViewRow], scene: &Scene) -> MaskKeys {
     let views = scene.views.iter().enumerate().filter(|(_, view)| !view.test);
     views.filter_map(|(i, view)| Some((i, of_row(by_name.get(view.name.as_str())?)?))).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use segwild_scene::{Prompts, SceneSettings, ScoredMask};
+    use segwild_synthetic::{SyntheticOptions, generate};
+    use segwild_vision::{Prompted, VisionError};
+    use std::sync::{Arc, Mutex};
+
+    /// Keeps the sizes of the photos whose boundaries it finds.
+    #[derive(Default)]
+    struct SizeSegmenter(Mutex<Vec<(usize, usize)>>);
+
+    impl PromptSegmenter for SizeSegmenter {
+        fn key(&self) -> String {
+            "sizes".into()
+        }
+
+        fn prompted(&self, _: &Image, _: &Prompts) -> Result<Prompted, VisionError> {
+            unreachable!("boundaries alone are needed")
+        }
+
+        fn refine(&self, _: &Image, _: &Image) -> Result<ScoredMask, VisionError> {
+            unreachable!("boundaries alone are needed")
+        }
+
+        fn finds_objects(&self) -> bool {
+            false
+        }
+
+        fn boundary_strengths(&self, image: &Image) -> Result<Option<Image>, VisionError> {
+            self.0.lock().expect("no test panics with it").push((image.width, image.height));
+            Ok(Some(Image::zeros(image.width, image.height, 1)))
+        }
+    }
+
+    #[test]
+    fn boundaries_are_found_in_photos_at_the_size_of_the_tree() {
+        let dir = tempfile::tempdir().expect("a folder");
+        let options = SyntheticOptions { train: 4, test: 0, long_side: 64, ..SyntheticOptions::small() };
+        generate(&options).and_then(|scene| scene.write(dir.path())).expect("a scene");
+        let scene = Scene::open(dir.path(), &SceneSettings::default()).expect("a scene");
+        let photos = PhotoStore::new(Arc::new(scene), 64, 1 << 20);
+        let segmenter = SizeSegmenter::default();
+        let boundaries = PhotoBoundaries::Model(&segmenter);
+        let photo = photos.read(0).expect("a photo");
+        let full = &photo.image;
+        let small = (full.width / 2, full.height / 2);
+        for (width, height) in [small, (full.width, full.height)] {
+            let cue = boundaries.of(&photos, 0, width, height).expect("boundaries");
+            assert!(matches!(cue, PhotoCue::Strengths(map) if (map.width, map.height) == (width, height)));
+        }
+        assert_eq!(*segmenter.0.lock().expect("no test panics with it"), [small, (full.width, full.height)]);
+    }
+}

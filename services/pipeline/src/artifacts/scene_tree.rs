@@ -84,10 +84,10 @@ impl TreeSource<'_> {
             if stopping() {
                 return Err(RunError::Interrupted);
             }
-            let trained = view.camera.scaled_to(self.photos.long_side());
-            let small = trained.scaled_to(TREE_SIZE);
+            let view =
+                PosedView { camera: view.camera.scaled_to(self.photos.long_side()), ..PosedView::from(view) };
+            let small = view.camera.scaled_to(TREE_SIZE);
             let (width, height) = (small.width as usize, small.height as usize);
-            let view = PosedView { camera: trained, ..PosedView::from(view) };
             let view = builder.see(&view, width, height)?;
             if !builder.needs(&view) {
                 builder.count(&view);

@@ -208,3 +208,25 @@ fn weighed(of: &GroupWeights, tree: &GroupTree, node: u32, gap: f32, average: bo
         + of.average * f32::from(u8::from(average))
         + of.rim * group.rim
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene_tree::SplatGroup;
+
+    #[test]
+    fn the_rank_chooses_and_the_expected_iou_says_how_good_it_is() {
+        // Leaf 0 is far below its parent, which stands before what is around it.
+        let merges =
+            MergeTree { leaves: 3, parent: vec![3, 3, 4, 4, 4], height: vec![0.0, 0.0, 0.0, 0.9, 1.0] };
+        let group = |area, nearer| SplatGroup { area, nearer, cut: 0.5, ..SplatGroup::default() };
+        let groups =
+            vec![group(0.1, 0.0), group(0.2, 0.0), group(0.7, 0.0), group(0.3, 1.0), group(1.0, 0.0)];
+        let trees = vec![GroupTree { merges, groups }];
+        let tree = SceneTree { leaf: vec![0, 1, 2], trees, shown_by: vec![1; 3] };
+        let found = tree.candidates(0, TreeBoundaries::All);
+        assert_eq!(found[0].nodes, [(0, 0)]);
+        assert_eq!(found[1].nodes, [(0, 3)]);
+        assert!(found[0].score < found[1].score, "{found:?}");
+    }
+}
