@@ -106,11 +106,12 @@ pub struct StudioRow {
 
 impl StudioRow {
     /// The row as a record, in the units of its figures and in MiB: `server_mib` of the server's process and `run_mib` of the
-    /// run's. Of what is measured many times it has the median, and the slowest under the same name after `slowest_`.
+    /// run's. Of what is measured many times it has the median, and the slowest under the same name after `slowest_`. The run's
+    /// splats are `scene_splats`: they describe the scene, while `splats` is a cost of a training that is compared.
     pub fn record(&self) -> Record {
         let figures = &self.figures;
         let single = [
-            ("splats", figures.splats as f64),
+            ("scene_splats", figures.splats as f64),
             ("photos", figures.photos as f64),
             ("first_photo_s", figures.first_photo_s),
             ("first_frame_s", figures.first_frame_s),
@@ -263,7 +264,7 @@ fn write_row(record: &Record, text: &mut String) {
         text,
         "| {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} |",
         record.scene,
-        number("splats", 0),
+        number("scene_splats", 0),
         number("photos", 0),
         number("first_photo_s", 2),
         number("first_frame_s", 2),
@@ -479,5 +480,62 @@ mod tests {
         assert!(text.starts_with("# What a person waits for on the page (built-in)\n"), "{text}");
         let row = "| trevi | 7 | 3 | 0.50 | 1.00 | 2 (3) | - | - | - | - | 24.0 | 3 | 0.50 |\n";
         assert!(text.ends_with(row), "{text}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use segwild_eval::compare::{Change, CompareOptions, compare};
+
+    /// A run's row; times and memory grow with `cost`, the rate of frames falls with it.
+    fn row(splats: usize, cost: f64) -> StudioRow {
+        let times = |each: f64| vec![each * cost; 3];
+        let figures = StudioFigures {
+            provider: "built-in".into(),
+            splats,
+            photos: 4,
+            first_photo_s: 0.5 * cost,
+            first_frame_s: cost,
+            hover_ms: times(4.0),
+            crowd_ms: times(40.0),
+            first_answer_s: times(0.5),
+            last_answer_s: times(2.0),
+            sure_s: times(3.0),
+            frames_per_s: 20.0 / cost,
+        };
+        let bytes = Some((cost * f64::from(64 << 20)) as u64);
+        StudioRow { run: "gate".into(), figures, memory: [bytes, bytes] }
+    }
+
+    #[test]
+    fn every_time_and_every_mib_of_a_row_is_compared_and_the_size_of_its_scene_is_not() {
+        let results = |row: StudioRow| {
+            let mut results = Results::default();
+            results.put(row.record());
+            results
+        };
+        let old = results(row(1000, 1.0));
+        let changes = |new: StudioRow| {
+            let lines = compare(&old, &results(new), CompareOptions::default()).expect("the same provider");
+            lines.into_iter().map(|line| (line.number, line.change)).collect::<BTreeMap<_, _>>()
+        };
+        let compared: Vec<String> = changes(row(1000, 1.0)).into_keys().collect();
+        let described = ["photos", "scene_splats"];
+        let measured = old.records[0].numbers.keys().filter(|name| !described.contains(&name.as_str()));
+        assert_eq!(compared, measured.cloned().collect::<Vec<_>>());
+        for (new, change) in [
+            (row(2000, 1.0), Change::Same),
+            (row(1000, 1.02), Change::Same),
+            (row(1000, 3.0), Change::Worse),
+            (row(1000, 0.3), Change::Better),
+        ] {
+            let changed = changes(new);
+            // Of one pair a difference must be twice the margin: no fall of the slowest is, whose margin is a half.
+            let mut decided = changed.iter().filter(|(name, _)| !name.starts_with("slowest_"));
+            assert!(decided.all(|(_, found)| *found == change), "{change:?}: {changed:?}");
+        }
+        let slow = changes(row(1000, 3.0));
+        assert!(slow.values().all(|change| *change == Change::Worse), "{slow:?}");
     }
 }

@@ -42,6 +42,8 @@ pub enum Margin {
     More(f64),
     /// Less is better; the least difference that matters.
     Less(f64),
+    /// More is better; the least share of the old value that matters.
+    MoreBy(f64),
     /// Less is better; the least share of the old value that matters.
     LessBy(f64),
 }
@@ -57,9 +59,15 @@ impl Margin {
             // On a machine that others use, less is noise.
             "wall_s" | "click_s" => Margin::LessBy(0.2),
             "cpu_s" => Margin::LessBy(0.1),
-            "peak_mib" => Margin::LessBy(0.05),
+            "peak_mib" | "server_mib" | "run_mib" => Margin::LessBy(0.05),
+            // What a person waits for on the page.
+            "first_photo_s" | "first_frame_s" | "hover_ms" | "crowd_hover_ms" | "first_answer_s"
+            | "last_answer_s" | "sure_s" => Margin::LessBy(0.2),
+            "frames_per_s" => Margin::MoreBy(0.2),
             // Counted work is exact; a training of other splats may take a few more.
             "splats" | "pairs" | "calls" | "steps" | "photo_steps" => Margin::LessBy(0.02),
+            // One request of many, which the system may have held up; by choice.
+            name if name.starts_with("slowest_") => Margin::LessBy(0.5),
             name if name.ends_with("iou") || name == "accuracy" => Margin::More(0.005),
             _ => return None,
         })
@@ -70,6 +78,7 @@ impl Margin {
         match self {
             Margin::More(least) => difference / least,
             Margin::Less(least) => -difference / least,
+            Margin::MoreBy(share) => difference / (share * old.abs()).max(f64::MIN_POSITIVE),
             Margin::LessBy(share) => -difference / (share * old.abs()).max(f64::MIN_POSITIVE),
         }
     }
