@@ -12,7 +12,7 @@ use segwild_eval::oracle::OracleOptions;
 use segwild_eval::trial::{ProviderKind, Trial};
 use segwild_flow::{Events, Phase, Stopper};
 use segwild_pipeline::{Mode, PhotoPrompts, Preset, RenderRequest, Settings, render};
-use segwild_synthetic::{Manifest, SyntheticOptions, SyntheticPlan, SyntheticScene};
+use segwild_synthetic::{Manifest, SyntheticError, SyntheticOptions, SyntheticPlan, SyntheticScene};
 use std::ops::{ControlFlow, RangeInclusive};
 use std::path::{Path, PathBuf};
 
@@ -137,17 +137,24 @@ pub fn demo(matches: &ArgMatches) -> Result<(), Failure> {
 /// Refuses a whole demo of more pixels than it keeps in memory.
 fn fits_in_memory(options: &SyntheticOptions) -> Result<(), Failure> {
     let (photos, side) = ((options.train + options.test) as u64, u64::from(options.long_side));
-    // No photo is wider than 4:3.
+    // 4:3 is the squarest photo.
     let each = side * side * 3 / 4;
     if photos * each <= MOST_PIXELS {
         return Ok(());
     }
     Err(Failure::usage(format!(
         "{photos} photos of {side} px ({} of them held out) are too many for a whole demo, which keeps all of them in \
-         memory: at this size it takes {}; add --photos-only, and run `segwild run` on the folder",
+         memory: at this size the largest --photo-count is {}; or add --photos-only, and run `segwild run` on the folder",
         options.test,
-        MOST_PIXELS / each
+        most_training_photos(MOST_PIXELS / each)
     )))
+}
+
+/// The most training photos that so many photos allow, with those that are held out beside them.
+fn most_training_photos(photos: u64) -> u64 {
+    let held_out = HELD_OUT as u64;
+    // A photo is held out for each `HELD_OUT` training photos that are started.
+    photos - photos.div_ceil(held_out + 1)
 }
 
 /// Writes the photos one by one, until Ctrl-C: two of them are in memory at a time.
@@ -167,13 +174,28 @@ fn write_photos(options: &SyntheticOptions, dir: &Path, json: bool) -> Result<Ma
     let sink = show(&events, json)?;
     let plan = SyntheticPlan::new(options)?;
     let mut stage = events.stage("photos", Some(plan.photo_count() as u64));
-    let manifest = plan.write(dir, |_| {
-        stage.advance(1);
-        if stopper.phase() == Phase::Running { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
-    })?;
+    let manifest = write_until(&plan, dir, &stopper, || stage.advance(1))?;
     stage.finish();
     drop(sink); // everything that happened is shown before the last word
     Ok(manifest)
+}
+
+/// Writes a set until it is stopped; `written` is called after each photo. The folder stays as it is where it was stopped before:
+/// it may hold another set, which [`SyntheticPlan::write`] removes.
+fn write_until(
+    plan: &SyntheticPlan,
+    dir: &Path,
+    stopper: &Stopper,
+    mut written: impl FnMut(),
+) -> Result<Manifest, SyntheticError> {
+    let running = || stopper.phase() == Phase::Running;
+    if !running() {
+        return Err(SyntheticError::Stopped { written: 0, photos: plan.photo_count() });
+    }
+    plan.write(dir, |_| {
+        written();
+        if running() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+    })
 }
 
 /// Takes all photos into memory.
@@ -210,8 +232,9 @@ fn in_words(flags: &PhotoPrompts) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{command, fits_in_memory, photos};
-    use segwild_synthetic::SyntheticOptions;
+    use super::{HELD_OUT, command, fits_in_memory, most_training_photos, photos, write_until};
+    use segwild_flow::Stopper;
+    use segwild_synthetic::{Manifest, SyntheticError, SyntheticOptions, SyntheticPlan};
 
     #[test]
     fn the_number_and_size_of_the_photos_change_nothing_else_of_the_scene() {
@@ -232,9 +255,38 @@ mod tests {
         assert!(fits_in_memory(&usual).is_ok());
         let refused = fits_in_memory(&large).expect_err("60 GiB").message;
         assert!(refused.starts_with("1084 photos of 1600 px (84 of them held out)"), "{refused}");
-        assert!(refused.contains("it takes 34;") && refused.contains("--photos-only"), "{refused}");
+        assert!(refused.contains("the largest --photo-count is 31;"), "{refused}");
+        assert!(refused.contains("--photos-only"), "{refused}");
+        // The number that it names is the largest that is accepted.
+        let of_count = |count: &str| fits_in_memory(&of(&["--photo-count", count, "--pixels", "1600"]));
+        assert_eq!([of_count("31").is_ok(), of_count("32").is_ok()], [true, false]);
+        for photos in 2..200 {
+            let most = most_training_photos(photos);
+            let all = |train: u64| train + train.div_ceil(HELD_OUT as u64);
+            assert!(all(most) <= photos && photos < all(most + 1), "{most} of {photos}");
+        }
         for bound in ["--photo-count=2", "--photo-count=3600", "--pixels=16", "--pixels=4096"] {
             assert!(command().try_get_matches_from(["demo", bound]).is_ok(), "{bound}");
         }
+    }
+
+    #[test]
+    fn a_set_that_is_stopped_before_its_first_photo_leaves_the_folder_as_it_is() {
+        let of = |seed| {
+            let small = SyntheticOptions { seed, long_side: 16, points: 0, ..SyntheticOptions::small() };
+            SyntheticPlan::new(&SyntheticOptions { train: 2, test: 0, ..small }).expect("a set")
+        };
+        let dir = tempfile::tempdir().expect("a folder");
+        let stopper = Stopper::new();
+        let mut count = 0;
+        let old = write_until(&of(1), dir.path(), &stopper, || count += 1).expect("it is written");
+        assert_eq!((count, old.photos.len()), (2, 2));
+        stopper.stop();
+        let stopped = write_until(&of(2), dir.path(), &stopper, || count += 1);
+        assert!(matches!(stopped, Err(SyntheticError::Stopped { written: 0, photos: 2 })), "{stopped:?}");
+        let held = std::fs::read(dir.path().join("truth.json")).expect("the manifest stays");
+        assert_eq!(serde_json::from_slice::<Manifest>(&held).expect("a manifest"), old);
+        assert!(dir.path().join("sparse/0/images.bin").is_file());
+        assert_eq!(count, 2);
     }
 }
