@@ -9,13 +9,29 @@ use crate::truth::{Manifest, TruthBuilder};
 use crate::world::{Instance, WorldPart};
 use glam::{DMat3, DQuat};
 use rayon::prelude::*;
-use segwild_files::{FileError, write_atomic};
+use segwild_files::name::is_plain;
+use segwild_files::{FileError, read_within, write_atomic};
 use segwild_scene::colmap::{
     self, CameraModel, CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction,
 };
 use segwild_scene::{Image, SceneError};
 use std::io::ErrorKind;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// Folders in `truth` with an image of each photo, besides those of the objects.
+const KINDS: [&str; 5] = ["clean", "sky", "transient", "instance", "part"];
+
+/// The folder in `truth` with the depth of each photo.
+const DEPTH: &str = "depth";
+
+/// Most bytes of a manifest. One of 4000 photos, the most that a set has, takes less than 1 MiB.
+const MOST_MANIFEST: u64 = 64 << 20;
+
+/// Most photos of a set, as [`SyntheticOptions`] allow them.
+const MOST_PHOTOS: usize = 4000;
+
+/// Most objects of a set: their ids have 8 bits.
+const MOST_OBJECTS: usize = 255;
 
 impl SyntheticScene {
     /// Writes the set into a folder, which is made if it is not there:
@@ -52,8 +68,8 @@ pub struct SetWriter<'a> {
 }
 
 impl<'a> SetWriter<'a> {
-    /// Makes the folders of a set. What makes a scene of another set that the folder holds is removed: its photos are about to be
-    /// written over.
+    /// Makes the folders of a set. Another set that the folder holds is removed: photos that stayed of it would be taken for photos
+    /// of this one.
     pub fn new(
         dir: &'a Path,
         options: &SyntheticOptions,
@@ -62,8 +78,7 @@ impl<'a> SetWriter<'a> {
         forget_other_set(dir, options)?;
         let objects: Vec<(u16, String)> =
             (0..).zip(instances).skip(1).map(|(id, instance)| (id, instance.name.clone())).collect();
-        let kinds = ["clean", "sky", "transient", "instance", "part", "depth"].into_iter();
-        let kinds = kinds.chain(objects.iter().map(|(_, name)| name.as_str()));
+        let kinds = KINDS.into_iter().chain([DEPTH]).chain(objects.iter().map(|(_, name)| name.as_str()));
         for folder in kinds.map(|kind| dir.join("truth").join(kind)).chain([dir.join("images")]) {
             let failed = |e| SceneError::from(FileError::new("create the folder", &folder, e));
             std::fs::create_dir_all(&folder).map_err(failed)?;
@@ -97,27 +112,76 @@ impl<'a> SetWriter<'a> {
     }
 }
 
-/// Removes the reconstruction and the manifest of another set. Of the same set they stay: they are written again as they are.
+/// Removes another set: its reconstruction, the photos and masks that its manifest lists, and the manifest. The same set stays: it
+/// is written again as it is.
 fn forget_other_set(dir: &Path, options: &SyntheticOptions) -> Result<(), SceneError> {
     let path = dir.join("truth.json");
-    let text = std::fs::read(&path).ok();
-    let held: Option<Manifest> = text.and_then(|text| serde_json::from_slice(&text).ok());
-    if held.is_none_or(|held| held.options == *options) {
-        return Ok(());
+    let Some(held) = held_set(&path)?.filter(|held| held.options != *options) else { return Ok(()) };
+    check_listed(&path, &held)?;
+    // The manifest last: it names the rest to whoever is stopped before.
+    for name in ["sparse/0/cameras.bin", "sparse/0/images.bin", "sparse/0/points3D.bin", "split.tsv"] {
+        remove(&dir.join(name))?;
     }
-    // The manifest last: it tells whoever is stopped before.
-    for name in
-        ["sparse/0/cameras.bin", "sparse/0/images.bin", "sparse/0/points3D.bin", "split.tsv", "truth.json"]
-    {
-        let file = dir.join(name);
-        match std::fs::remove_file(&file) {
-            Err(e) if e.kind() != ErrorKind::NotFound => {
-                return Err(FileError::new("remove", &file, e).into());
-            }
-            _ => {}
-        }
+    listed_files(&held).try_for_each(|name| remove(&dir.join(name)))?;
+    remove(&path)
+}
+
+/// The manifest of the set that a folder holds; `None` where there is none.
+fn held_set(path: &Path) -> Result<Option<Manifest>, SceneError> {
+    let text = match read_within(path, MOST_MANIFEST) {
+        Ok(text) => text,
+        Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => return Ok(None),
+        Err(source) => return Err(SceneError::Io { path: path.to_owned(), source }),
+    };
+    serde_json::from_slice(&text).map(Some).map_err(|e| {
+        let reason = format!(
+            "it does not name the set that the folder holds: {e}; take the file away, or choose another folder"
+        );
+        SceneError::invalid(path, "manifest", reason)
+    })
+}
+
+/// Refuses a manifest that lists what no set has: it may come from anywhere, and its names must lead nowhere else.
+fn check_listed(path: &Path, held: &Manifest) -> Result<(), SceneError> {
+    let refuse = |what: String| {
+        let reason = format!("{what}; take the file away, or choose another folder");
+        Err(SceneError::invalid(path, "manifest", reason))
+    };
+    let (photos, objects) = (held.photos.len(), held.objects.len());
+    if photos > MOST_PHOTOS || objects > MOST_OBJECTS {
+        return refuse(format!(
+            "a set has at most {MOST_PHOTOS} photos and {MOST_OBJECTS} objects, not {photos} and {objects}"
+        ));
     }
-    Ok(())
+    let objects = held.objects.iter().map(|object| &object.name);
+    let mut names = held.photos.iter().map(|photo| &photo.name).chain(objects);
+    match names.find(|name| !is_plain(name)) {
+        Some(name) => refuse(format!("`{name}` is no file name")),
+        None => Ok(()),
+    }
+}
+
+/// The photos of a set and their truth, as paths within its folder.
+fn listed_files(held: &Manifest) -> impl Iterator<Item = PathBuf> + '_ {
+    held.photos.iter().flat_map(move |photo| {
+        let objects = held.objects.iter().map(|object| object.name.as_str());
+        let kinds = KINDS.into_iter().chain(objects);
+        let images = kinds.map(move |kind| Path::new("truth").join(kind).join(&photo.name));
+        images.chain([Path::new("images").join(&photo.name), depth_file(&photo.name)])
+    })
+}
+
+/// Removes a file, if it is there.
+fn remove(file: &Path) -> Result<(), SceneError> {
+    match std::fs::remove_file(file) {
+        Err(e) if e.kind() != ErrorKind::NotFound => Err(FileError::new("remove", file, e).into()),
+        _ => Ok(()),
+    }
+}
+
+/// Depth of a photo, as a path within the set's folder.
+fn depth_file(photo: &str) -> PathBuf {
+    Path::new("truth").join(DEPTH).join(photo).with_extension("pfm")
 }
 
 /// One file to write.
@@ -131,7 +195,7 @@ fn write_photo(dir: &Path, objects: &[(u16, String)], photo: &SyntheticPhoto) ->
         Box::new(|| photo.photo.write_png(&dir.join("images").join(&photo.name))),
         Box::new(|| photo.clean.write_png(&named("clean"))),
         Box::new(|| {
-            write_atomic(&named("depth").with_extension("pfm"), &pfm(photo)).map_err(SceneError::from)
+            write_atomic(&dir.join(depth_file(&photo.name)), &pfm(photo)).map_err(SceneError::from)
         }),
         Box::new(|| ids(photo, &photo.instances).write_png(&named("instance"))),
         Box::new(|| ids(photo, &photo.parts).write_png(&named("part"))),

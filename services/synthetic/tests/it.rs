@@ -111,6 +111,46 @@ fn a_set_that_is_stopped_leaves_no_scene_of_another_one() {
 }
 
 #[test]
+fn a_smaller_set_leaves_no_photo_of_a_larger_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let set = |train| SyntheticOptions { train, test: 0, long_side: 32, ..few() };
+    generate(&set(6)).unwrap().write(dir.path()).unwrap();
+    std::fs::write(dir.path().join("images/own.png"), "a file of somebody else").unwrap();
+    generate(&set(4)).unwrap().write(dir.path()).unwrap();
+    let whole = tempfile::tempdir().unwrap();
+    generate(&set(4)).unwrap().write(whole.path()).unwrap();
+    std::fs::write(whole.path().join("images/own.png"), "a file of somebody else").unwrap();
+    assert!(files(dir.path()) == files(whole.path()));
+}
+
+#[test]
+fn a_manifest_that_cannot_be_read_or_leads_elsewhere_is_refused_and_nothing_is_removed() {
+    let dir = tempfile::tempdir().unwrap();
+    let set = SyntheticOptions { train: 2, test: 0, long_side: 32, points: 0, ..few() };
+    let mut forged = generate(&set).unwrap().write(dir.path()).unwrap();
+    let truth = dir.path().join("truth.json");
+    let other = generate(&SyntheticOptions { occlusion: 0.1, ..set }).unwrap();
+    let refused = |text: &[u8]| {
+        std::fs::write(&truth, text).unwrap();
+        let before = files(dir.path());
+        let message = other.write(dir.path()).unwrap_err().to_string();
+        assert!(files(dir.path()) == before, "{message}");
+        assert!(message.contains("truth.json"), "{message}");
+        message
+    };
+    assert!(refused(b"no manifest").contains("does not name the set"));
+    for name in ["../split.tsv", "..", "/etc/hostname", "a\\b", ""] {
+        forged.photos[0].name = name.into();
+        assert!(refused(&serde_json::to_vec(&forged).unwrap()).contains("is no file name"), "{name}");
+    }
+    forged.photos = vec![forged.photos[1].clone(); 4001];
+    assert!(refused(&serde_json::to_vec(&forged).unwrap()).contains("at most 4000 photos"));
+    std::fs::remove_file(&truth).unwrap();
+    std::fs::create_dir(&truth).unwrap();
+    assert!(other.write(dir.path()).unwrap_err().to_string().contains("it is a folder"));
+}
+
+#[test]
 fn points_have_the_colours_that_their_photos_show() {
     let exact = SyntheticOptions { pixel_noise: 0.0, outliers: 0.0, ..few() };
     let scene = generate(&exact).unwrap();
