@@ -63,4 +63,6 @@ def features_of(path: Path, data: bytes) -> NDArray[np.float32]:
         raise SegwildError(path, "it is damaged: its numbers have no unit, or are not finite", AGAIN)
     with np.errstate(over="ignore", under="ignore"):
         values *= unit
+    if not np.isfinite(values).all():
+        raise SegwildError(path, "it is damaged: its numbers times their unit are not finite", AGAIN)
     return values

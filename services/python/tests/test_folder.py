@@ -164,6 +164,7 @@ class FolderTest(unittest.TestCase):
             (features(8, 2, 8, unit=-1.0), "no unit"),
             (features(8, 2, 8, unit=3.0), "no unit"),
             (features(8, 2, 8, unit=float("nan")), "no unit"),
+            (features(8, 2, 8, unit=2.0**127), "unit are not finite"),
             (good[:-16] + np.full(8, np.inf, "<f2").tobytes(), "not finite"),
             (features(8, 2, 8, b"features/3"), "`features/3` and not `features/2`"),
             (features(8, 2, 8, b"model"), "`model` and not `features/2`"),

@@ -14,7 +14,7 @@ const LARGEST: i32 = 10;
 
 /// A vector per row, its numbers rounded to 16 bits in units of one power of two for all rows: beside the splats, features are the
 /// largest array of a session and of a run folder. Records have the same numbers, so that nothing is rounded twice. A record with
-/// numbers that are not finite is refused.
+/// numbers that are not finite, as they are kept or times the unit, is refused.
 #[derive(Clone, Debug, PartialEq, SchemaWrite)]
 pub struct HalfRows {
     /// Numbers per row, at least 1.
@@ -44,10 +44,11 @@ impl HalfRows {
         Some(HalfRows { channels, unit, halves })
     }
 
-    /// Sets all numbers of a row to 0 where one of them is not finite.
+    /// Sets all numbers of a row to 0 where one of them is not finite, as it is kept or times the unit.
     pub fn clear_damaged(&mut self) {
+        let unit = self.unit;
         self.halves.par_chunks_mut(self.channels).for_each(|row| {
-            if !row.iter().all(|&half| is_finite(half)) {
+            if !row.iter().all(|&half| is_number(half, unit)) {
                 row.fill(0);
             }
         });
@@ -58,7 +59,7 @@ impl HalfRows {
             && self.halves.len().is_multiple_of(self.channels)
             && self.unit.is_normal()
             && self.unit == f32::from_bits(self.unit.to_bits() & 0x7f80_0000)
-            && self.halves.par_iter().all(|&half| is_finite(half))
+            && self.halves.par_iter().all(|&half| is_number(half, self.unit))
     }
 
     /// Numbers per row.
@@ -96,6 +97,11 @@ impl HalfRows {
     pub fn row(&self, row: usize) -> Vec<f32> {
         self.halves_of(row).iter().map(|&half| from_half(half) * self.unit).collect()
     }
+}
+
+/// Whether a number is finite, as it is kept and times the unit. Numbers near the largest of 32 bits may be rounded beyond it.
+fn is_number(half: u16, unit: f32) -> bool {
+    is_finite(half) && (from_half(half) * unit).is_finite()
 }
 
 /// The power of two in units of which the largest number of the usual rows is about 2^[`LARGEST`]; 1 where all rows are zero or no
@@ -145,6 +151,10 @@ mod tests {
         rows.clear_damaged();
         assert_eq!(rows.values()[..10], [1.0, 0.5, 0.0, 0.0, -2.0, 0.25, 0.0, 0.0, 0.0, 0.0]);
         assert_eq!(again(&rows), Some(rows.clone()));
+        // It is rounded up to 2^128.
+        let mut largest = HalfRows::rounded(1, &[f32::MAX, 1e38]).unwrap();
+        largest.clear_damaged();
+        assert_eq!((largest.row(0), again(&largest)), (vec![0.0], Some(largest.clone())));
     }
 
     #[test]
@@ -163,6 +173,15 @@ mod tests {
             assert_eq!(forged(&|rows| rows.unit = unit), None, "{unit}");
         }
         assert_eq!(forged(&|rows| rows.halves[1] = to_half(f32::INFINITY)), None);
+        // A half and a unit that are finite, and their product.
+        let of = |half: f32, unit: u32| {
+            forged(&move |rows| {
+                rows.halves[1] = to_half(half);
+                rows.unit = f32::from_bits((unit + 127) << 23);
+            })
+        };
+        assert_eq!([of(65504.0, 127), of(-65504.0, 113), of(-2.0, 127)], [None, None, None]);
+        assert!(of(65504.0, 112).is_some_and(|rows| rows.values()[1].is_finite()));
         // More numbers than there are bytes.
         let mut bytes = wincode::serialize(&rows).unwrap();
         bytes[12..20].copy_from_slice(&(1u64 << 40).to_le_bytes());
