@@ -186,7 +186,7 @@ impl Trial {
         &self.scene
     }
 
-    /// What `truth.json` says.
+    /// The contents of the scene's `truth.json`.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
     }

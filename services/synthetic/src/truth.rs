@@ -1,4 +1,4 @@
-//! What `truth.json` says of a set: collected photo by photo, without their pixels.
+//! The manifest of a set, `truth.json`: collected photo by photo, without their pixels.
 
 use crate::options::SyntheticOptions;
 use crate::photo::SyntheticPhoto;
@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
 
-/// What `truth.json` says.
+/// The contents of `truth.json`: how a set was made, its photos, and what they show.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// The options that it was made with.
@@ -102,7 +102,7 @@ impl TruthBuilder {
         }
     }
 
-    /// What `truth.json` says of the photos that were added.
+    /// The manifest of the photos that were added.
     pub fn manifest(self, options: &SyntheticOptions, parts: &[WorldPart]) -> Manifest {
         let named = self.instances.iter().skip(1).zip(self.rankings).enumerate();
         let objects = named.map(|(i, (instance, ranking))| ObjectTruth {
@@ -122,7 +122,7 @@ impl TruthBuilder {
 }
 
 impl SyntheticScene {
-    /// What `truth.json` says.
+    /// The contents of the set's `truth.json`.
     pub fn manifest(&self) -> Manifest {
         let mut truth = TruthBuilder::new(&self.instances);
         self.photos.iter().for_each(|photo| truth.add(photo));
