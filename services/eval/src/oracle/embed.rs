@@ -16,12 +16,12 @@ impl Oracle {
 
     fn instance_descriptor(&self, id: u16) -> Vec<f32> {
         let own = self.descriptor(1 << 53 | u64::from(id));
-        let kinship = self.options.kinship.clamp(0.0, 1.0);
-        if kinship == 0.0 || !self.built[usize::from(id)] {
+        let similarity = self.options.embedding_similarity.clamp(0.0, 1.0);
+        if similarity == 0.0 || !self.built[usize::from(id)] {
             return own;
         }
         let shared = self.descriptor(1 << 55);
-        let (a, b) = (kinship.sqrt(), (1.0 - kinship).sqrt());
+        let (a, b) = (similarity.sqrt(), (1.0 - similarity).sqrt());
         shared.iter().zip(own).map(|(shared, own)| a * shared + b * own).collect()
     }
 }

@@ -19,7 +19,7 @@ pub struct OracleOptions {
     pub part_code: f32,
     /// How much all built things are alike, 0 to 1: the mean cosine between the descriptors of two of them. Networks tell a
     /// column from the sky better than from the next column.
-    pub kinship: f32,
+    pub embedding_similarity: f32,
     /// Length of the noise on each cell.
     pub noise: f32,
     /// Length of the offset that all cells of a photo share.
@@ -39,7 +39,7 @@ impl Default for OracleOptions {
             channels: 64,
             cells: 64,
             part_code: 0.35,
-            kinship: 0.0,
+            embedding_similarity: 0.0,
             noise: 0.25,
             offset: 0.15,
             drop: 0.10,

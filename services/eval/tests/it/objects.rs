@@ -76,7 +76,7 @@ const FLOOR: f64 = 0.5;
 #[test]
 fn compactness_separates_things_that_resemble_each_other() {
     let dir = tempfile::tempdir().unwrap();
-    let oracle = OracleOptions { kinship: 0.97, ..OracleOptions::default() };
+    let oracle = OracleOptions { embedding_similarity: 0.97, ..OracleOptions::default() };
     // Transients are not what is tested here.
     let trial = seen_by(dir.path(), &SyntheticOptions { occlusion: 0.0, ..options() }, &oracle);
     let found = |row: &str| {

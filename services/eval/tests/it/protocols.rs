@@ -296,7 +296,7 @@ fn embeddings_tell_instances_apart_across_photos() {
     assert!(same.least > other.most + 0.1, "{same} against {other}");
     assert!(same.most < 0.9999, "{same}");
     // Built things that are kin are alike, and still not the same.
-    let kin = OracleOptions { kinship: 0.9, part_code: 0.0, ..OracleOptions::perfect() };
+    let kin = OracleOptions { embedding_similarity: 0.9, part_code: 0.0, ..OracleOptions::perfect() };
     let (same, other) = alike(kin);
     assert!((other.mean - 0.9).abs() < 0.05 && other.mean < same.mean - 0.05, "{same} against {other}");
 }

@@ -70,7 +70,10 @@ pub fn synthetic(matches: &ArgMatches) -> Result<(), Failure> {
         prompts: *matches.get_one::<u32>("clicks-per-object").expect("it has a default") as usize,
         providers: providers_of(matches),
         targets: if word("targets") == "surfaces" { Targets::Surfaces } else { Targets::Objects },
-        faults: OracleOptions { kinship: number("embedding-similarity"), ..OracleOptions::default() },
+        faults: OracleOptions {
+            embedding_similarity: number("embedding-similarity"),
+            ..OracleOptions::default()
+        },
         scene: SyntheticOptions {
             occlusion: number("occlusion"),
             photo_light: light_of(matches)?,
