@@ -422,6 +422,7 @@ fn json_of(path: &str, bytes: &[u8]) -> Result<Value, StudioBenchError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use segwild_eval::compare::{Change, CompareOptions, compare};
     use std::net::TcpListener;
 
     #[test]
@@ -481,12 +482,6 @@ mod tests {
         let row = "| trevi | 7 | 3 | 0.50 | 1.00 | 2 (3) | - | - | - | - | 24.0 | 3 | 0.50 |\n";
         assert!(text.ends_with(row), "{text}");
     }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use segwild_eval::compare::{Change, CompareOptions, compare};
 
     /// A run's row; times and memory grow with `cost`, the rate of frames falls with it.
     fn row(splats: usize, cost: f64) -> StudioRow {

@@ -194,9 +194,7 @@ fn write_photo(dir: &Path, objects: &[(u16, String)], photo: &SyntheticPhoto) ->
     let mut files: Vec<FileJob<'_>> = vec![
         Box::new(|| photo.photo.write_png(&dir.join("images").join(&photo.name))),
         Box::new(|| photo.clean.write_png(&named("clean"))),
-        Box::new(|| {
-            write_atomic(&dir.join(depth_file(&photo.name)), &pfm(photo)).map_err(SceneError::from)
-        }),
+        Box::new(|| write_atomic(&dir.join(depth_file(&photo.name)), &pfm(photo)).map_err(SceneError::from)),
         Box::new(|| ids(photo, &photo.instances).write_png(&named("instance"))),
         Box::new(|| ids(photo, &photo.parts).write_png(&named("part"))),
         Box::new(|| photo.sky().write_png(&named("sky"))),
