@@ -156,11 +156,10 @@ fn a_model_in_the_guides_python_server_makes_masks_and_answers_clicks_and_texts(
     let summary = json(&std::fs::read(run.join("selections/it/summary.json")).expect("a summary"));
     assert!(summary["splats"].as_u64().is_some_and(|n| n > 0), "{summary}");
     let run_text = show(&run);
-    let first = |text: &str| -> serde_json::Value {
-        let by_text = ["segment", &run_text, "--text", text, "--vision-service", &address, "--json"];
-        json(works(&by_text).as_bytes())["ranking"]["matches"][0].clone()
-    };
-    let (red, blue) = (first("red"), first("blue"));
-    assert!(red["score"].is_number(), "{red}");
-    assert_ne!(red, blue, "texts of other colours are about other groups, or as much about one");
+    let by_text = ["segment", &run_text, "--text", "red", "--vision-service", &address, "--json"];
+    let answer = json(works(&by_text).as_bytes());
+    let matches = answer["ranking"]["matches"].as_array().expect("a ranking");
+    // Five texts with one embedding would have a share of .2 each.
+    let differs = |m: &serde_json::Value| m["score"].as_f64().is_some_and(|score| (score - 0.2).abs() > 0.01);
+    assert!(matches.iter().any(differs), "{answer}");
 }
