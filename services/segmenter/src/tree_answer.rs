@@ -1,10 +1,14 @@
 //! The first answer to clicks by the scene tree (method, section 13).
 
 use crate::scene_tree::{
-    CorrectedLeaves, GroupCandidate, LeafClick, NONE, SCENE_AREA, SceneTree, ShownLeaves,
+    CorrectedLeaves, GroupCandidate, LeafClick, MIN_SURFACE_FRAME, NONE, SCENE_AREA, SURFACE_IOU,
+    SceneSurface, SceneTree, ShownLeaves,
 };
 use crate::select::hits;
-use crate::{AnswerStep, Evidence, FirstAnswer, PosedView, PromptedView, Request, SegmentError, seen_once};
+use crate::{
+    AnswerStep, Evidence, FirstAnswer, PosedView, PromptedView, Request, SegmentError, TreeBoundaries,
+    seen_once,
+};
 use glam::Vec2;
 use segwild_raster::{Channels, CpuEngine};
 use segwild_scene::{Image, Mask, Prompts, ScoredMask};
@@ -26,8 +30,29 @@ const MIN_AGREEMENT: f64 = 0.5;
 pub enum Alternative {
     /// A group of the scene tree: its share of the light that all photos see.
     Group(f32),
+    /// The surface that the click is on, without what stands there: its share of that light.
+    Surface(f32),
     /// What the clicked photo's own mask holds.
     Photo,
+}
+
+/// The same, as the tree has it.
+#[derive(Clone, Copy)]
+enum Candidate<'a> {
+    Group(&'a GroupCandidate),
+    Surface(&'a SceneSurface),
+    Photo,
+}
+
+impl Candidate<'_> {
+    /// Its leaves, and its expected IoU; `None` for the photo's own mask.
+    fn leaves(self, tree: &SceneTree) -> Option<(Vec<bool>, f32)> {
+        match self {
+            Candidate::Group(group) => Some((tree.leaves_of(group), group.score)),
+            Candidate::Surface(surface) => Some((tree.leaves_on(surface), SURFACE_IOU)),
+            Candidate::Photo => None,
+        }
+    }
 }
 
 /// What clicks select.
@@ -37,7 +62,7 @@ pub(crate) struct TreeAnswer {
     pub group: Option<GroupAnswer>,
     /// What the clicks may select, in the order of [`SegmentSettings::alternative`](crate::SegmentSettings::alternative).
     pub alternatives: Vec<Alternative>,
-    /// Whether each leaf belongs to the likeliest group that is not selected; `None` where there is none.
+    /// Whether each leaf belongs to the likeliest group or surface that is not selected; `None` where there is none.
     pub other: Option<Vec<bool>>,
 }
 
@@ -73,9 +98,10 @@ fn several_inside(prompts: &Prompts) -> bool {
     prompts.points.iter().filter(|point| point.inside).count() > 1
 }
 
-/// The tree's answer to clicks, with their photos: the first positive click chooses a group, and the others correct it. The
-/// photo's own mask comes first where several clicks are all positive and in one photo, and where the tree answers one click with
-/// most of the scene; always where the model of the masks finds whole objects by itself. `request` needs no prompts.
+/// The tree's answer to clicks, with their photos: the first positive click chooses a group, and the others correct it. It chooses
+/// the surface that it is on where the likeliest group is cut off by the photos' frames as a surface is. The photo's own mask comes
+/// first where several clicks are all positive and in one photo, and where the tree answers one click with most of the scene; always
+/// where the model of the masks finds whole objects by itself. `request` needs no prompts.
 pub(crate) fn answer(
     request: &Request,
     tree: &SceneTree,
@@ -101,18 +127,6 @@ pub(crate) fn answer(
         None => tree.candidates(start.leaf, boundaries),
     };
     let is_scene = granularity.is_none() && found.first().is_some_and(|first| first.area > SCENE_AREA);
-    if is_scene && !corrections.is_empty() {
-        // The click alone was answered by its photo: what is corrected is the group most like that.
-        let (view, prompts) = &clicks[prompt];
-        let alone = prompts.points.iter().copied().find(|point| point.inside);
-        let alone = (*view, Prompts { points: alone.into_iter().collect(), ..Prompts::default() });
-        let own = own_mask(request, &alone, &photos[prompt], segmenter)?;
-        found.splice(0..0, tree.most_alike(&start, &own.mask, boundaries));
-    }
-    if found.is_empty() {
-        return Ok(TreeAnswer::default());
-    }
-    let corrected = |candidate: &GroupCandidate| tree.corrected(tree.leaves_of(candidate), &corrections);
     // Drawn through all clicks (on `liberty`, two clicks in one photo: IoU .96, by the tree .90).
     let together = match clicks {
         [(_, prompts)] => {
@@ -120,8 +134,27 @@ pub(crate) fn answer(
         }
         _ => false,
     };
+    // A surface is a matter of geometry, and has no size to choose.
+    let has_surfaces = granularity.is_none() && boundaries != TreeBoundaries::Photo;
+    let surface = start.surface.filter(|_| has_surfaces);
+    let all_on_it = corrections.iter().all(|click| click.surface == start.surface);
+    // What the photos' frames cut off is no thing on the surface.
+    let may_be_thing = found.first().is_some_and(|first| tree.frame_of(first) < MIN_SURFACE_FRAME);
+    let on_surface =
+        surface.is_some() && (all_on_it || !together) && !may_be_thing && !segmenter.finds_objects();
+    if is_scene && !corrections.is_empty() && !on_surface {
+        // The click alone was answered by its photo: what is corrected is the group most like that.
+        let (view, prompts) = &clicks[prompt];
+        let alone = prompts.points.iter().copied().find(|point| point.inside);
+        let alone = (*view, Prompts { points: alone.into_iter().collect(), ..Prompts::default() });
+        let own = own_mask(request, &alone, &photos[prompt], segmenter)?;
+        found.splice(0..0, tree.most_alike(&start, &own.mask, boundaries));
+    }
+    if found.is_empty() && surface.is_none() {
+        return Ok(TreeAnswer::default());
+    }
     let by_photo = segmenter.finds_objects() || together || is_scene && corrections.is_empty();
-    let mut candidates: Vec<Option<&GroupCandidate>> = found.iter().map(Some).collect();
+    let mut candidates: Vec<Candidate> = found.iter().map(Candidate::Group).collect();
     // Where the scene is first, groups keep their numbers when a further click puts the corrected one before them.
     let photo_at = if by_photo {
         0
@@ -130,21 +163,27 @@ pub(crate) fn answer(
     } else {
         1
     };
-    candidates.insert(photo_at, None);
-    let named = |candidate: &Option<&GroupCandidate>| match candidate {
-        Some(candidate) => Alternative::Group(candidate.area),
-        None => Alternative::Photo,
+    candidates.insert(photo_at.min(candidates.len()), Candidate::Photo);
+    if let Some(surface) = surface {
+        candidates.insert(usize::from(!on_surface), Candidate::Surface(&tree.surfaces[surface]));
+    }
+    let named = |candidate: &Candidate| match candidate {
+        Candidate::Group(group) => Alternative::Group(group.area),
+        Candidate::Surface(surface) => Alternative::Surface(surface.area),
+        Candidate::Photo => Alternative::Photo,
     };
     let alternatives = candidates.iter().map(named).collect();
     let chosen_at = (candidates.len() - 1).min(settings.alternative as usize);
     let mut others = candidates.iter().enumerate().filter(|(at, _)| *at != chosen_at);
-    let other = others.find_map(|(_, other)| *other).map(|other| corrected(other).selected);
-    let Some(chosen) = candidates[chosen_at] else {
+    let corrected = |leaves| tree.corrected(leaves, &corrections);
+    let other =
+        others.find_map(|(_, other)| other.leaves(tree)).map(|(leaves, _)| corrected(leaves).selected);
+    let Some((leaves, expected_iou)) = candidates[chosen_at].leaves(tree) else {
         return Ok(TreeAnswer { group: None, alternatives, other });
     };
-    let answered = is_scene.then_some(prompt);
+    let answered = (is_scene && !on_surface).then_some(prompt);
     let outlined = OutlinedPhotos { clicks, photos, segmenter, answered };
-    let group = GroupAnswer::of(request, tree, &corrected(chosen), chosen.score, &outlined)?;
+    let group = GroupAnswer::of(request, tree, &corrected(leaves), expected_iou, &outlined)?;
     Ok(TreeAnswer { group, alternatives, other })
 }
 
@@ -164,14 +203,14 @@ fn leaf_clicks(
             let prompt =
                 PromptedView { view: *view, mask: &nothing, open: None, refused: false, points, boxes: &[] };
             let (positive, negative) = hits(&Request { prompts: &[prompt], ..*request })?;
-            let leaf = positive.first().or(negative.first()).and_then(|hit| tree.leaf_of(hit));
-            match leaf {
-                Some(leaf) => {
+            let hit = positive.first().or(negative.first());
+            match hit.and_then(|hit| Some((tree.leaf_of(hit)?, tree.surface_at(hit)))) {
+                Some((leaf, surface)) => {
                     let (posed, at) = (&request.views[*view], Vec2::new(point.x, point.y));
                     let (splats, options) = (request.splats, &request.options);
                     let shown = || ShownLeaves::of(&engine, tree, splats, options, posed, at);
                     let shown = several.then(shown).transpose().map_err(SegmentError::raster(&posed.name))?;
-                    found.push((number, LeafClick { leaf, inside: point.inside, shown }));
+                    found.push((number, LeafClick { leaf, surface, inside: point.inside, shown }));
                 }
                 None if point.inside => return Ok(None),
                 None => {}

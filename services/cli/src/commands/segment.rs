@@ -119,6 +119,9 @@ fn print_alternatives(done: &SegmentOutcome, selected: usize) -> Result<(), Fail
     let others: Vec<String> = others
         .map(|(i, alternative)| match alternative {
             Alternative::Group(area) => format!("--alternative {i} ({:.1} % of the scene)", 100.0 * area),
+            Alternative::Surface(area) => {
+                format!("--alternative {i} (the surface, {:.1} % of the scene)", 100.0 * area)
+            }
             Alternative::Photo => format!("--alternative {i} (the clicked photo's own mask)"),
         })
         .collect();

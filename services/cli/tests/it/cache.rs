@@ -252,7 +252,7 @@ fn a_click_starts_from_the_runs_scene_tree_and_names_what_else_it_may_mean() {
     assert_eq!(held_of(&run, "objects"), 1, "the run grew its tree");
     let first = select(&[]);
     let alternatives = first["alternatives"].as_array().expect("a list").clone();
-    assert!((2..=3).contains(&alternatives.len()), "{first}");
+    assert!((2..=4).contains(&alternatives.len()), "{first}");
     assert_eq!(
         alternatives.iter().filter(|m| *m == "photo").count(),
         1,

@@ -1,7 +1,7 @@
 //! Corrections of a group by further clicks (method, section 13): each adds or takes out the part that it hits, and changes
 //! nothing else.
 
-use super::query::expected;
+use super::query::{SURFACE_IOU, expected};
 use super::tree::{Growth, TREES};
 use super::{GroupCandidate, NONE, SceneTree};
 use crate::{PosedView, TreeBoundaries};
@@ -32,6 +32,8 @@ const MIN_SHOWN_ALPHA: f32 = 0.5;
 pub struct LeafClick {
     /// The leaf that it hits.
     pub leaf: u32,
+    /// The surface that it hits, by its number; `None` where it hits none.
+    pub surface: Option<usize>,
     /// Whether it is meant.
     pub inside: bool,
     /// What its photo shows; `None` where it is the only click.
@@ -138,8 +140,8 @@ impl SceneTree {
         now
     }
 
-    /// The part that a click means: of the groups that hold it, no click of the other kind and mostly what is wrong, the one
-    /// that is likely a thing and has the click in its middle. Where nothing is wrong there, or no group is such a part, the
+    /// The part that a click means: of the groups that hold it, no click of the other kind and mostly what is wrong, and of what is
+    /// wrong on the surface that it hits, the one that is likely a thing and has the click in its middle. Where nothing is wrong there, or no group is such a part, the
     /// smallest group.
     fn part_at(&self, selected: &[bool], click: &LeafClick, clicks: &[LeafClick]) -> Vec<bool> {
         let leaves = selected.len();
@@ -151,6 +153,7 @@ impl SceneTree {
         };
         let most = MAX_PART * light_of(&|leaf| selected[leaf]).iter().sum::<f32>();
         let wrong_light = light_of(&is_wrong);
+        let depth_of = |part: &[bool]| click.shown.as_ref().map_or(0.0, |shown| shown.depth(part));
         let (mut best, mut smallest) = (None::<(f32, usize, u32)>, None::<(f32, usize, u32)>);
         for (number, tree) in self.trees.iter().enumerate() {
             let merges = &tree.merges;
@@ -171,11 +174,24 @@ impl SceneTree {
                 let candidate = merges.parts_of(node);
                 let within: Vec<bool> = (0..leaves).map(|leaf| candidate[leaf] && is_wrong(leaf)).collect();
                 let average = TREES[number].1 == Growth::Average;
-                let score = expected(tree, node, gap, average)
-                    + DEPTH_WEIGHT * click.shown.as_ref().map_or(0.0, |shown| shown.depth(&within));
+                let score = expected(tree, node, gap, average) + DEPTH_WEIGHT * depth_of(&within);
                 if best.is_none_or(|(most, ..)| score > most) {
                     best = Some((score, number, node));
                 }
+            }
+        }
+        // What came along of a surface goes with one click, however little of the surface that is.
+        if let Some(surface) = click.surface.map(|number| &self.surfaces[number]) {
+            let within: Vec<bool> =
+                self.leaves_on(surface).iter().enumerate().map(|(leaf, &on)| on && is_wrong(leaf)).collect();
+            let light: f32 = within.iter().zip(&wrong_light).filter(|(on, _)| **on).map(|(_, l)| l).sum();
+            let mut others = clicks.iter().filter(|other| other.inside != click.inside);
+            let score = SURFACE_IOU + DEPTH_WEIGHT * depth_of(&within);
+            let is_part = within[click.leaf as usize]
+                && light <= most
+                && others.all(|other| !within[other.leaf as usize]);
+            if is_part && best.is_none_or(|(most, ..)| score > most) {
+                return within;
             }
         }
         match best.or(smallest) {

@@ -177,7 +177,12 @@ mod tests {
             height: vec![0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 4.0],
         };
         let tree = GroupTree { merges, groups };
-        let tree = SceneTree { leaf: (0..5).collect(), trees: vec![tree; TREES.len()], shown_by: vec![2; 5] };
+        let tree = SceneTree {
+            leaf: (0..5).collect(),
+            trees: vec![tree; TREES.len()],
+            surfaces: Vec::new(),
+            shown_by: vec![2; 5],
+        };
         assert!(tree.fits(5));
         assert_eq!(tree.holders(0, 0), [6, 7], "5 is hardly larger, and 8 is the scene");
         let children = tree.children(0);

@@ -1,6 +1,7 @@
 //! The graph of splats whose distances the views vote on.
 
 use super::boundaries::{combined, depth_edges};
+use super::node_surface::{self, FrontSums, NodeSurface};
 use super::region_merges::RegionMerges;
 use super::sightings::{CUES, RegionsInView, Sightings};
 use super::tree::NONE;
@@ -10,7 +11,7 @@ use crate::{NeighbourGraph, PosedView, SegmentError};
 use rayon::prelude::*;
 use segwild_raster::{Channels, CpuEngine, Frame, FrontLayer, NO_SPLAT, ProjectOptions};
 use segwild_scene::statistics::median;
-use segwild_scene::{Image, Splats};
+use segwild_scene::{Camera, Image, Pose, Splats};
 use segwild_vision::ContourTree;
 
 /// Least share of a pixel that a splat must make up for the view to see it there (method, section 13). By choice. IoU by half,
@@ -66,6 +67,9 @@ const MIN_URGENT: f32 = 0.01;
 
 /// What a view sees of the splats, whatever its photo shows.
 pub struct SplatsInView {
+    /// The camera at the size of the boundaries.
+    camera: Camera,
+    pose: Pose,
     front: FrontLayer,
     /// Inverse depth; `None` where the view is not needed.
     inverse: Option<Frame>,
@@ -121,7 +125,8 @@ fn merged(mut borders: Vec<FrontBorder>) -> Vec<FrontBorder> {
     borders
 }
 
-/// Collects views. It holds about nine bytes per splat and view that sees it, and 20 per pair of neighbouring fronts.
+/// Collects views. It holds about nine bytes per splat and view that sees it, 20 per pair of neighbouring fronts, and 32 per
+/// splat.
 /// Splats that many views see need no more of them ([`TreeBuilder::needs`]), so that its size does not grow with the
 /// photos of a scene.
 pub struct TreeBuilder<'a> {
@@ -138,6 +143,8 @@ pub struct TreeBuilder<'a> {
     void: Vec<f32>,
     frame: Vec<f32>,
     borders: Vec<FrontBorder>,
+    /// Per splat, where its surface lies.
+    surfaces: Vec<FrontSums>,
     /// Counts the photos that show each splat.
     shown: ShownCounter,
 }
@@ -198,6 +205,7 @@ impl<'a> TreeBuilder<'a> {
             void: vec![0.0; splats.len()],
             frame: vec![0.0; splats.len()],
             borders: Vec::new(),
+            surfaces: vec![FrontSums::default(); splats.len()],
             shown: ShownCounter::new(splats.len()),
         }
     }
@@ -228,7 +236,7 @@ impl<'a> TreeBuilder<'a> {
         };
         let trained = view.camera.width as f32 * view.camera.height as f32;
         let pixel = (width * height) as f32 / trained;
-        Ok(SplatsInView { front, inverse, light, unoccluded, pixel, seen })
+        Ok(SplatsInView { camera, pose: view.pose, front, inverse, light, unoccluded, pixel, seen })
     }
 
     /// Whether enough of the splats that a view sees were seen by few of the views that had been added when it was
@@ -260,7 +268,9 @@ impl<'a> TreeBuilder<'a> {
     /// counted. A view with more than 65,535 regions says nothing of its splats, nor does any after so many views.
     pub fn add(&mut self, view: SplatsInView, photo: &Image) {
         self.count(&view);
-        let SplatsInView { front, inverse: Some(inverse), light, seen, .. } = view else { return };
+        let SplatsInView { camera, pose, front, inverse: Some(inverse), light, seen, .. } = view else {
+            return;
+        };
         let edges = depth_edges(&inverse);
         let trees: Vec<ContourTree> = CUE_WEIGHTS
             .par_iter()
@@ -279,13 +289,15 @@ impl<'a> TreeBuilder<'a> {
         for &i in &seen {
             self.light[i as usize] += light[i as usize];
         }
+        let depths: Vec<f32> = (0..front.splats.len()).map(|i| depth(&front, &inverse.image, i)).collect();
+        node_surface::add_view(&mut self.surfaces, &front.splats, &depths, &camera, &pose);
         self.add_borders(&front, &inverse.image, &edges);
     }
 
     /// Adds the sides of the fronts of a view.
     fn add_borders(&mut self, front: &FrontLayer, inverse: &Image, edges: &Image) {
         let (w, h) = (front.width, front.height);
-        let solid = |i: usize| front.alpha.data[i] >= MIN_FRONT_ALPHA && front.splats[i] != NO_SPLAT;
+        let solid = |i: usize| is_solid(front, i);
         let near = |i: usize| inverse.data[i] / front.alpha.data[i];
         let mut borders = std::mem::take(&mut self.borders);
         for i in 0..w * h {
@@ -313,6 +325,15 @@ impl<'a> TreeBuilder<'a> {
             }
         }
         self.borders = merged(borders);
+    }
+
+    /// Per node of a graph, the surface that the views show of its splats.
+    pub(super) fn surfaces(&self, graph: &SplatGraph) -> Vec<Option<NodeSurface>> {
+        let mut sums = vec![FrontSums::default(); graph.areas.len()];
+        for (of, &node) in self.surfaces.iter().zip(&graph.node).filter(|(_, node)| **node != NONE) {
+            sums[node as usize] = sums[node as usize].and(*of);
+        }
+        sums.iter().map(NodeSurface::of).collect()
     }
 
     /// The graph of all splats that some view sees.
@@ -382,6 +403,17 @@ impl<'a> TreeBuilder<'a> {
         }
         (!heights[0].is_empty()).then(|| heights.map(|of| median(of).expect("each view has all cues")))
     }
+}
+
+/// Whether a pixel has a front.
+fn is_solid(front: &FrontLayer, pixel: usize) -> bool {
+    front.alpha.data[pixel] >= MIN_FRONT_ALPHA && front.splats[pixel] != NO_SPLAT
+}
+
+/// Depth of a pixel's front by the blend of inverse depths; 0 where it has none.
+fn depth(front: &FrontLayer, inverse: &Image, pixel: usize) -> f32 {
+    let depth = front.alpha.data[pixel] / inverse.data[pixel];
+    if is_solid(front, pixel) && depth.is_finite() { depth } else { 0.0 }
 }
 
 /// Splats that take no part follow the nearest neighbour that has a node.

@@ -33,13 +33,15 @@ const SPECTRAL_COST: LinkageCost = LinkageCost { least: 0.01, size: 0.2 };
 const NODES_AT_ONCE: usize = 8 << 20;
 
 impl TreeBuilder<'_> {
-    /// The trees of the views.
+    /// The trees and the surfaces of the views.
     pub fn grow(self) -> SceneTree {
         let (graph, shown_by) = (self.graph(), self.shown_by());
+        let nodes = self.surfaces(&graph);
         // What was held of each view is most of the memory, and no tree needs it.
         drop(self);
+        let surfaces = graph.surfaces(&nodes);
         let trees = graph.grow();
-        SceneTree { leaf: graph.node, trees, shown_by }
+        SceneTree { leaf: graph.node, trees, surfaces, shown_by }
     }
 }
 

@@ -96,8 +96,12 @@ mod tests {
         let merges =
             MergeTree { leaves: 3, parent: vec![3, 3, 4, 4, 4], height: vec![0.0, 0.0, 0.0, 1.0, 2.0] };
         let tree = GroupTree { merges, groups: vec![SplatGroup::default(); 5] };
-        let tree =
-            SceneTree { leaf: vec![0, 1, 2, NONE], trees: vec![tree; TREES.len()], shown_by: vec![2; 4] };
+        let tree = SceneTree {
+            leaf: vec![0, 1, 2, NONE],
+            trees: vec![tree; TREES.len()],
+            surfaces: Vec::new(),
+            shown_by: vec![2; 4],
+        };
         assert!(tree.fits(4));
         let leaves = vec![NONE, 0, 0, 2, 0, 1, 1, 2, NONE, 2, 2, NONE];
         let mut map = LeafMap { width: 4, height: 3, leaves };

@@ -1,7 +1,7 @@
 //! Clicks against the scene tree: from what they hit to ranked groups of splats (method, section 13).
 
 use super::tree::{Growth, TREES};
-use super::{GroupTree, MergeTree, NONE, SceneTree};
+use super::{GroupTree, MergeTree, NONE, SceneSurface, SceneTree};
 use crate::{ClickHit, TreeBoundaries};
 
 /// Candidates that a query answers with, at most.
@@ -21,6 +21,10 @@ pub(super) const MIN_AREA: f32 = 0.002;
 /// Share of all light from which a group is the scene rather than a thing in it (method, section 13). From
 /// docs/experiments/2026-11-28-scene-tree.md. Half and half more changed no measured click.
 pub(crate) const SCENE_AREA: f32 = 0.5;
+
+/// Expected IoU of a surface with what is meant (method, section 13): about the mean of six synthetic scenes' ground with what was
+/// found of it. From docs/experiments/2026-11-30-surfaces.md.
+pub(crate) const SURFACE_IOU: f32 = 0.55;
 
 /// A linear function of what is known of a group (method, section 13).
 struct GroupWeights {
@@ -104,6 +108,17 @@ impl SceneTree {
         summed.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(leaf, _)| leaf)
     }
 
+    /// The surface that a click hits, by its number: what faces as it does makes up at least half of what the click hits.
+    pub fn surface_at(&self, hit: &ClickHit) -> Option<usize> {
+        let share_of = |is_counted: &dyn Fn(u32) -> bool| -> f32 {
+            let of = hit.splats.iter().map(|&(splat, share)| (self.leaf[splat as usize], share));
+            of.filter(|(leaf, _)| *leaf != NONE && is_counted(*leaf)).map(|(_, share)| share).sum()
+        };
+        let half = 0.5 * share_of(&|_| true);
+        let on = |surface: &SceneSurface| share_of(&|leaf| surface.facing.binary_search(&leaf).is_ok());
+        self.surfaces.iter().position(|surface| half > 0.0 && on(surface) >= half)
+    }
+
     /// What a click on a leaf may select, the likeliest first.
     pub fn candidates(&self, leaf: u32, boundaries: TreeBoundaries) -> Vec<GroupCandidate> {
         apart(self.groups_with(leaf, boundaries))
@@ -144,6 +159,12 @@ impl SceneTree {
         }
         found.sort_by(|(a, first), (b, second)| b.total_cmp(a).then(first.nodes.cmp(&second.nodes)));
         found.into_iter().map(|(_, candidate)| candidate).collect()
+    }
+
+    /// The largest share of the outlines of a candidate's nodes that lies on the photos' frames.
+    pub(crate) fn frame_of(&self, candidate: &GroupCandidate) -> f32 {
+        let frames = candidate.nodes.iter().map(|&(tree, node)| self.trees[tree].groups[node as usize].frame);
+        frames.fold(0.0, f32::max)
     }
 
     /// Whether each leaf belongs to a candidate.
@@ -223,7 +244,7 @@ mod tests {
         let groups =
             vec![group(0.1, 0.0), group(0.2, 0.0), group(0.7, 0.0), group(0.3, 1.0), group(1.0, 0.0)];
         let trees = vec![GroupTree { merges, groups }];
-        let tree = SceneTree { leaf: vec![0, 1, 2], trees, shown_by: vec![1; 3] };
+        let tree = SceneTree { leaf: vec![0, 1, 2], trees, surfaces: Vec::new(), shown_by: vec![1; 3] };
         let found = tree.candidates(0, TreeBoundaries::All);
         assert_eq!(found[0].nodes, [(0, 0)]);
         assert_eq!(found[1].nodes, [(0, 3)]);

@@ -13,8 +13,27 @@ pub struct SceneTree {
     pub leaf: Vec<u32>,
     /// The trees, over the same leaves.
     pub trees: Vec<GroupTree>,
+    /// The surfaces, the largest planes first. No leaf belongs to two.
+    pub surfaces: Vec<SceneSurface>,
     /// Per splat of the scene, the photos that show it: 1 where one photo alone does (method, section 13).
     pub shown_by: Vec<u16>,
+}
+
+/// A surface of the scene.
+#[derive(Clone, Debug, Default, PartialEq, SchemaRead, SchemaWrite)]
+pub struct SceneSurface {
+    /// Its leaves in the trees, ascending.
+    pub leaves: Vec<u32>,
+    /// Those of them that face as it does, ascending. The others fill its gaps, or are feet of what stands there: a click on one of
+    /// those does not mean the surface.
+    pub facing: Vec<u32>,
+    /// Its share of the light that all views see.
+    pub area: f32,
+    /// Share of its outline that lies on the photos' frames.
+    pub frame: f32,
+    /// Share of the occlusions at its outline in which it is the farther side, less the share in which it is the nearer one: 1
+    /// where things stand before it everywhere.
+    pub farther: f32,
 }
 
 /// One tree with what is known of its groups.
@@ -58,6 +77,11 @@ impl SceneTree {
             && self.trees.len() == TREES.len()
             && self.trees.iter().all(whole)
             && self.leaf.iter().all(|&leaf| leaf == NONE || (leaf as usize) < leaves)
+            && self
+                .surfaces
+                .iter()
+                .flat_map(|s| s.leaves.iter().chain(&s.facing))
+                .all(|&leaf| (leaf as usize) < leaves)
     }
 
     /// IoU of a selection of splats with one of leaves, by the light that the views see of each leaf, in [0, 1]. A leaf is selected
@@ -79,6 +103,13 @@ impl SceneTree {
             either += light * share.max(other);
         }
         if either > 0.0 { (both / either) as f32 } else { 0.0 }
+    }
+
+    /// Whether each leaf belongs to a surface.
+    pub fn leaves_on(&self, surface: &SceneSurface) -> Vec<bool> {
+        let mut leaves = vec![false; self.trees.first().map_or(0, |tree| tree.merges.leaves)];
+        surface.leaves.iter().for_each(|&leaf| leaves[leaf as usize] = true);
+        leaves
     }
 
     /// Whether one photo alone shows each splat of the scene.
@@ -118,6 +149,7 @@ mod tests {
         SceneTree {
             leaf: vec![0, 0, 0, 1, 1, 2, NONE],
             trees: vec![GroupTree { merges, groups }],
+            surfaces: Vec::new(),
             shown_by: vec![2; 7],
         }
     }

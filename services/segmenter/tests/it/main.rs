@@ -13,3 +13,4 @@ mod query;
 mod scene_tree;
 mod select;
 mod sgc;
+mod surfaces;

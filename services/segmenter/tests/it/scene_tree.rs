@@ -140,7 +140,7 @@ fn click(tree: &SceneTree, world: &TestWorld, view: &PosedView, at: Vec3, inside
     let pixel = view.camera.pixel(view.pose.to_camera(at));
     let options = options();
     let shown = ShownLeaves::of(&engine(), tree, &world.splats, &options, view, pixel).unwrap();
-    LeafClick { leaf: leaf(tree, world, view, at), inside, shown: Some(shown) }
+    LeafClick { leaf: leaf(tree, world, view, at), surface: None, inside, shown: Some(shown) }
 }
 
 #[test]

@@ -139,6 +139,7 @@ fn alternative(alternative: Alternative) -> v1::Alternative {
     use alternative::Case;
     let case = match alternative {
         Alternative::Group(share) => Case::Group(share),
+        Alternative::Surface(share) => Case::Surface(share),
         Alternative::Photo => Case::Photo(v1::Nothing {}),
     };
     v1::Alternative { case: Some(case) }

@@ -114,7 +114,8 @@ export class Side {
     parts.push(element("label", { className: "row" }, element("span", { className: "quiet" }, text("level")), level, named));
     if (answer.alternatives.length > 1) {
       const chips = answer.alternatives.map((alternative, k) => {
-        const share = typeof alternative === "object" ? text("alternative_group", (100 * alternative.group).toFixed(1)) : text("alternative_photo");
+        const [kind, of] = typeof alternative === "object" ? Object.entries(alternative)[0] : [alternative, 0];
+        const share = text(`alternative_${kind}`, (100 * of).toFixed(1));
         const shown = k < answer.scores.length ? text("alternative_score", share, answer.scores[k].toFixed(2)) : share;
         return button(shown, shown, () => app.alternative(k), { "aria-pressed": k === draft.alternative });
       });

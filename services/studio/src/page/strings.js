@@ -29,7 +29,7 @@ export const strings = {
   next_click: "One more click helps most in {0}.",
   step_none: "first answer", step_tree: "the scene's tree", step_prompted: "this photo", step_photos: "{0} photos", step_all: "all photos",
   keep: "Keep (Enter)", drop: "Drop (Esc)", level: "Part to whole", level_auto: "automatic", alternatives: "It may also mean",
-  alternative_group: "{0} % of the scene", alternative_photo: "what this photo shows", alternative_score: "{0}, score {1}",
+  alternative_group: "{0} % of the scene", alternative_surface: "the surface, {0} %", alternative_photo: "what this photo shows", alternative_score: "{0}, score {1}",
   words: "Describe an object", words_find: "Find", words_example: "the dome, all windows",
   no_objects: "Nothing is kept yet.", colour: "Colour of {0}", show: "Show {0}", hide: "Hide {0}", lock: "Lock {0}", unlock: "Unlock {0}",
   isolate: "Show {0} alone", show_all: "Show everything", rename: "Rename {0}", remove: "Delete {0}", duplicate: "Duplicate {0}",

@@ -312,6 +312,7 @@ mod tests {
         SceneTree {
             leaf: vec![0, 1, 2, 3],
             trees: vec![GroupTree { merges, groups }; 5],
+            surfaces: Vec::new(),
             shown_by: vec![2; 4],
         }
     }
