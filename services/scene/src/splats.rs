@@ -140,14 +140,23 @@ impl Splats {
     /// The same splats turned by half a turn about an axis (0: x, 1: y, 2: z). Every basis function of the colour keeps its form or
     /// changes its sign.
     pub fn half_turned(&self, axis: usize) -> Splats {
-        let signs = [0, 1, 2].map(|k| if k == axis { 1.0 } else { -1.0 });
+        self.flipped([0, 1, 2].map(|k| if k == axis { 1.0 } else { -1.0 }))
+    }
+
+    /// The same splats with a sign, 1 or -1, for each axis of their world: mirrored, where the product of the signs is -1.
+    pub(crate) fn flipped(&self, signs: [f32; 3]) -> Splats {
         let of_basis = ODD.map(|odd| (0..3).filter(|&k| odd[k]).map(|k| signs[k]).product::<f32>());
         let [a, b, c] = signs;
+        let of_rotation = [b * c, a * c, a * b];
         let stride = self.sh_stride();
         Splats {
             means: self.means.iter().map(|&[x, y, z]| [a * x, b * y, c * z]).collect(),
             // The axes of a splat have no direction: the signs of two of them may change as well.
-            rotations: self.rotations.iter().map(|&[w, x, y, z]| [w, a * x, b * y, c * z]).collect(),
+            rotations: self
+                .rotations
+                .iter()
+                .map(|&[w, x, y, z]| [w, of_rotation[0] * x, of_rotation[1] * y, of_rotation[2] * z])
+                .collect(),
             log_scales: self.log_scales.clone(),
             opacities: self.opacities.clone(),
             sh_degree: self.sh_degree,
@@ -200,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn turned_splats_render_the_same_from_the_turned_camera() {
+    fn turned_and_mirrored_splats_render_the_same_from_the_turned_or_mirrored_camera() {
         let splats = Splats {
             means: vec![[1.0, 2.0, 3.0]],
             log_scales: vec![[-1.0, 0.0, 0.5]],
@@ -210,8 +219,12 @@ mod tests {
             sh: (0..48).map(|i| (i as f32).sin()).collect(),
         };
         for axis in 0..3 {
-            let turned = splats.half_turned(axis);
             let signs = [0, 1, 2].map(|k| if k == axis { 1.0 } else { -1.0 });
+            assert_eq!(splats.half_turned(axis), splats.flipped(signs));
+        }
+        for of in 0..8 {
+            let signs = [0, 1, 2].map(|k| if of >> k & 1 == 0 { 1.0 } else { -1.0 });
+            let turned = splats.flipped(signs);
             let flip = Mat3::from_diagonal(Vec3::from(signs));
             assert_eq!(turned.mean(0), flip * splats.mean(0));
             let off = turned.covariance(0) - flip * splats.covariance(0) * flip;
@@ -222,7 +235,7 @@ mod tests {
             };
             let there = colour(&turned, flip * from);
             assert!((colour(&splats, from) - there).abs() < 1e-5, "{there}");
-            assert_eq!(turned.half_turned(axis), splats);
+            assert_eq!(turned.flipped(signs), splats);
         }
     }
 }

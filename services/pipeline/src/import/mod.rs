@@ -23,7 +23,7 @@ const VIEWS: &str = "views";
 /// What they were rendered from.
 const RECORD: &str = "views/views.json";
 /// Raised when the same splats are rendered in another way.
-const RULE: u32 = 1;
+const RULE: u32 = 2;
 /// Height of a view as a share of its width.
 const ASPECT: f32 = 0.75;
 /// Splats that are written as points, at most.
@@ -59,11 +59,7 @@ pub fn render_views(
         return Ok(views);
     }
     let ReadSplats { splats, .. } = file.read()?;
-    let up = match file.writer.up {
-        Some(UpAxis::Z) => Vec3::Z,
-        Some(UpAxis::Y) => Vec3::Y,
-        Some(UpAxis::MinusY) | None => Vec3::NEG_Y,
-    };
+    let up = Vec3::from(file.writer.up.unwrap_or(UpAxis::MinusY).direction());
     let own = SplatExtent::of(&splats);
     let frame = SceneFrame { origin: own.centre.as_dvec3(), scale: f64::from(own.outer) };
     let placed = splats.from_file_frame(&frame);

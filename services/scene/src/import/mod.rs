@@ -141,7 +141,7 @@ impl SplatFile {
         let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
         let opened = if spz::is_packed(&start) {
             let head = spz::head(&path, &start)?;
-            let writer = SplatWriter::of_spz(head.antialias);
+            let writer = SplatWriter::of_spz(head.program.as_deref(), head.antialias());
             let (splats, sh_degree) = (head.splats, head.sh_degree());
             SplatFile { path, layout: SplatLayout::Spz, splats, sh_degree, writer }
         } else if glb::is_glb(&start) {
@@ -189,7 +189,11 @@ impl SplatFile {
         let mut notes = Vec::new();
         let splats = match self.layout {
             SplatLayout::Splat => ply::splat_of_bytes(path, &bytes)?,
-            SplatLayout::Spz => spz::read(path, &bytes)?,
+            SplatLayout::Spz => {
+                let (splats, done) = spz::read(path, &bytes)?;
+                notes.extend(done);
+                splats
+            }
             SplatLayout::Glb => glb::read(path, &bytes, MOST_SPLATS)?,
             SplatLayout::Sog => sog::read(path, &bytes, MOST_SPLATS)?,
             SplatLayout::CompressedPly => compressed::read(path, &bytes, &Header::parse(path, &bytes)?)?,

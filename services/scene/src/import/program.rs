@@ -2,8 +2,8 @@
 
 use crate::ply::header::Header;
 
-/// Which axis of a file's world points up, as far as it says so.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Which way of a file's world is up, as far as it says so.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum UpAxis {
     /// Against y, as in most reconstructions of COLMAP.
     MinusY,
@@ -11,14 +11,28 @@ pub enum UpAxis {
     Y,
     /// Along z.
     Z,
+    /// A unit vector, as Brush estimates it from the photos.
+    Direction([f32; 3]),
+}
+
+impl UpAxis {
+    /// The unit vector that points up.
+    pub fn direction(self) -> [f32; 3] {
+        match self {
+            UpAxis::MinusY => [0.0, -1.0, 0.0],
+            UpAxis::Y => [0.0, 1.0, 0.0],
+            UpAxis::Z => [0.0, 0.0, 1.0],
+            UpAxis::Direction(direction) => direction,
+        }
+    }
 }
 
 /// What wrote a file of splats.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SplatWriter {
     /// The program's name, with its version where the file gives it; `None` where nothing tells.
     pub program: Option<String>,
-    /// The axis that points up, where the file says so.
+    /// The way that is up, where the file says so.
     pub up: Option<UpAxis>,
     /// Whether opacities are compensated for the pixel filter, where the file says so.
     pub antialias: Option<bool>,
@@ -31,9 +45,9 @@ const SIGNATURES: [&str; 6] =
 const LONGEST: usize = 60;
 
 impl SplatWriter {
-    pub(super) fn of_spz(antialias: bool) -> SplatWriter {
+    pub(super) fn of_spz(program: Option<&str>, antialias: bool) -> SplatWriter {
         // The flag is false in what most programs write, whatever the splats are.
-        SplatWriter { antialias: antialias.then_some(true), ..SplatWriter::default() }
+        SplatWriter::named(program, antialias.then_some(true))
     }
 
     pub(super) fn of_ply(header: &Header) -> SplatWriter {
@@ -45,8 +59,8 @@ impl SplatWriter {
                 // The lower-case text may be of another length: the name is found by its words.
                 let skipped = start.split_whitespace().count();
                 writer.name(&comment.split_whitespace().skip(skipped).collect::<Vec<_>>().join(" "));
-            } else if lower.contains("lichtfeld_provenance") {
-                writer.name("LichtFeld Studio");
+            } else if let Some(program) = lichtfeld(comment) {
+                writer.name(&program);
             } else if let Some(named) = lower.strip_prefix("vertical axis:") {
                 axis = Some(named.trim().to_owned());
             } else if let Some(mode) = lower.strip_prefix("splatrendermode:") {
@@ -99,15 +113,37 @@ pub(super) fn plain(words: &str) -> String {
     words.chars().filter(|c| !c.is_control()).take(LONGEST).collect()
 }
 
-/// The axis that a comment names. For Brush `y` is the axis of the viewer: it writes COLMAP's own world, where y points down.
+/// LichtFeld Studio, with its version, where a comment or an extension is the note that it leaves (`src/core/provenance.cpp`): a
+/// JSON object on one line.
+pub(super) fn lichtfeld(note: &str) -> Option<String> {
+    const NAME: &str = "LichtFeld Studio";
+    if !note.contains("lichtfeld_provenance") {
+        return None;
+    }
+    let fields: Option<serde_json::Value> = serde_json::from_str(note).ok();
+    let version = fields.as_ref().and_then(|fields| fields["app_version"].as_str());
+    Some(version.map_or_else(|| NAME.to_owned(), |version| format!("{NAME} {version}")))
+}
+
+/// The axis that a comment names, or the three numbers of a direction, which Brush writes. For Brush `y` is the axis of the
+/// viewer: it writes COLMAP's own world, where y points down.
 fn up_axis(axis: &str, writer: &SplatWriter) -> Option<UpAxis> {
     let brush = writer.program.as_ref().is_some_and(|program| program.starts_with("Brush"));
     match axis {
         "z" => Some(UpAxis::Z),
         "y" if brush => Some(UpAxis::MinusY),
         "y" => Some(UpAxis::Y),
-        _ => None,
+        _ => direction(axis).map(UpAxis::Direction),
     }
+}
+
+/// Three numbers as a unit vector.
+fn direction(words: &str) -> Option<[f32; 3]> {
+    let numbers: Option<Vec<f32>> = words.split_whitespace().map(|word| word.parse().ok()).collect();
+    let direction: [f32; 3] = numbers?.try_into().ok()?;
+    let length = direction.iter().map(|v| v * v).sum::<f32>().sqrt();
+    let unit = direction.map(|v| v / length);
+    (length > 0.0 && unit.iter().all(|v| v.is_finite())).then_some(unit)
 }
 
 /// The programs whose files name nobody, by the order of their properties.

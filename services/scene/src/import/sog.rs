@@ -21,7 +21,7 @@ const MOST_TIMES: usize = 4;
 const MORE_PIXELS: usize = 1 << 20;
 /// Most bytes of an image per pixel: lossless ones have four and tables.
 const PIXEL_BYTES: usize = 8;
-/// Entries of a table of numbers: one for each byte.
+/// Most entries of a table of numbers: one for each byte. Of few splats LichtFeld Studio writes fewer.
 const CODEBOOK: usize = 256;
 /// Alpha of a rotation whose largest component is the first (w); the following ones name x, y and z.
 const LARGEST_IS_FIRST: u8 = 252;
@@ -35,6 +35,9 @@ struct SogMeta {
     count: usize,
     /// How the splats were trained, since version 3 of splat-transform: `antialiased` or `2dgs`.
     model: Option<String>,
+    /// The same, as GaussForge writes it; false in what most programs write, whatever the splats are.
+    #[serde(default)]
+    antialias: bool,
     #[serde(default)]
     asset: SogAsset,
     means: Option<SogMeans>,
@@ -71,8 +74,9 @@ struct SogTable {
 
 #[derive(Deserialize)]
 struct SogPalette {
-    #[serde(default)]
-    count: usize,
+    /// Groups of coefficients. LichtFeld Studio's first files call them `palette_size`.
+    count: Option<usize>,
+    palette_size: Option<usize>,
     #[serde(default)]
     bands: u32,
     #[serde(default)]
@@ -97,7 +101,7 @@ pub(super) fn head(path: &Path, bytes: &[u8]) -> Result<SogHead, SceneError> {
     let antialias = match meta.model.as_deref() {
         Some("antialiased") => Some(true),
         Some("default" | "2dgs") => Some(false),
-        _ => None,
+        _ => meta.antialias.then_some(true),
     };
     let sh_degree = meta.rest.as_ref().map_or(0, |rest| rest.bands);
     Ok(SogHead { splats: meta.count, sh_degree, generator: meta.asset.generator, antialias })
@@ -110,7 +114,7 @@ fn invalid(path: &Path, reason: impl std::fmt::Display) -> SceneError {
 fn meta(path: &Path, archive: &ZipArchive) -> Result<SogMeta, SceneError> {
     let text = archive.read(META, MOST_META)?;
     let other = |e: serde_json::Error| invalid(path, format!("it is no description of splats: {e}"));
-    let meta: SogMeta = serde_json::from_slice(&text).map_err(other)?;
+    let mut meta: SogMeta = serde_json::from_slice(&text).map_err(other)?;
     if meta.version != Some(VERSION) {
         let version = meta.version.map_or("1".to_owned(), |version| version.to_string());
         let reason = format!(
@@ -123,14 +127,15 @@ fn meta(path: &Path, archive: &ZipArchive) -> Result<SogMeta, SceneError> {
     if let Some(rest) = meta.rest.as_ref().filter(|rest| !(1..=3).contains(&rest.bands)) {
         return Err(invalid(path, format!("colours of degree {} cannot be", rest.bands)));
     }
-    let tables = [meta.scales.as_ref(), meta.sh0.as_ref()].into_iter().flatten().map(|table| &table.codebook);
-    for table in tables.chain(meta.rest.as_ref().map(|rest| &rest.codebook)) {
-        if table.len() != CODEBOOK {
-            return Err(invalid(
-                path,
-                format!("a table has {} numbers, and {CODEBOOK} are read", table.len()),
-            ));
+    let tables = [meta.scales.as_mut(), meta.sh0.as_mut()].into_iter().flatten();
+    let tables = tables.map(|table| &mut table.codebook);
+    for table in tables.chain(meta.rest.as_mut().map(|rest| &mut rest.codebook)) {
+        if !(1..=CODEBOOK).contains(&table.len()) {
+            let reason = format!("a table has {} numbers, and 1 to {CODEBOOK} are read", table.len());
+            return Err(invalid(path, reason));
         }
+        // A splat that takes a number which is not there has none.
+        table.resize(CODEBOOK, f32::NAN);
     }
     Ok(meta)
 }
@@ -221,8 +226,10 @@ impl<'a> SogColours<'a> {
     ) -> Result<SogColours<'a>, SceneError> {
         let coefficients = (palette.bands + 1).pow(2) as usize - 1;
         // Labels have two bytes.
-        let groups = palette.count.min(usize::from(u16::MAX) + 1);
-        let least = groups.div_ceil(ACROSS) * ACROSS * coefficients;
+        let most = usize::from(u16::MAX) + 1;
+        let stated = palette.count.or(palette.palette_size).map(|groups| groups.min(most));
+        // Where their number is not stated, the image is full of them.
+        let least = stated.unwrap_or(1).div_ceil(ACROSS) * ACROSS * coefficients;
         let centroids = pixels(path, archive, &palette.files[0], least)?;
         if centroids.width() as usize != ACROSS * coefficients {
             let reason = format!(
@@ -234,6 +241,7 @@ impl<'a> SogColours<'a> {
             );
             return Err(invalid(path, reason));
         }
+        let groups = stated.unwrap_or(centroids.height() as usize * ACROSS).min(most);
         let labels = pixels(path, archive, &palette.files[1], splats)?;
         let (bands, codebook) = (palette.bands, &palette.codebook[..]);
         Ok(SogColours { bands, coefficients, codebook, groups, centroids, labels })

@@ -1,9 +1,13 @@
-//! `.spz`, Niantic's packed splats: a header, and one array per property. Versions 1 to 3 are one gzip stream; version 4 packs
-//! each array by zstd (github.com/nianticlabs/spz, `src/cc/load-spz.cc`).
+//! `.spz`, Niantic's packed splats: a header, and one array per property. Versions 1 to 3 are one gzip stream, which
+//! some programs leave out; version 4 packs each array by zstd (github.com/nianticlabs/spz, `src/cc/load-spz.cc`).
+//! Behind the arrays, in version 4 before them, stand the extensions of programs (`extensions/README.md`); Spark's tree
+//! of levels of detail comes first.
 
+use super::program::lichtfeld;
 use super::quantised::{stored_logit, with_largest};
-use crate::{SceneError, Splats};
+use crate::{SceneError, Similarity, Splats};
 use flate2::read::GzDecoder;
+use glam::DMat3;
 use ruzstd::decoding::StreamingDecoder;
 use std::io::Read;
 use std::path::Path;
@@ -15,31 +19,57 @@ const GZIP: [u8; 2] = [0x1f, 0x8b];
 /// Bytes of the header up to version 3, and since version 4.
 const HEADER: usize = 16;
 const LONG_HEADER: usize = 32;
-/// Flag of splats that are compensated for the pixel filter.
+/// Flags: splats that are compensated for the pixel filter; extensions; Spark's levels of detail.
 const ANTIALIASED: u8 = 1;
-/// Most bytes of extensions that are unpacked to be passed over.
+const HAS_EXTENSIONS: u8 = 2;
+const HAS_LEVELS: u8 = 0x80;
+/// Most bytes behind the arrays that are unpacked.
 const MOST_EXTENSIONS: u64 = 64 << 20;
+/// Bytes of a splat in a tree of levels: how many children it has, and which is the first. All counts come first.
+const LEVEL_COUNT: usize = 2;
+const LEVEL: usize = LEVEL_COUNT + 4;
+/// The extension of the axes (`SPZ_ADOBE_coordinate_system`): one of the numbers from 1 to [`MOST_AXES`].
+const AXES_EXTENSION: usize = 0xadbe_0003;
+const MOST_AXES: usize = 16;
+/// The axes of a file that declares none: x right, y up, z back.
+const RIGHT_UP_BACK: usize = 4;
+/// The last of the axes whose second one is up or down; that of the others is forward or back.
+const LAST_WITH_Y_UP: usize = 8;
 /// Highest degree of colours in a file; of the fourth, the lower ones are read.
 const DEGREES: u8 = 4;
 /// Colours are stored with room above 1 and below 0.
 const COLOUR_SCALE: f32 = 0.15;
-/// About which axis half a turn leads from the format's axes (x right, y up, z back) to those of `.ply`.
-const TURN_ABOUT: usize = 0;
 
 /// What the header of a file says.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct SpzHead {
     version: u32,
     pub splats: usize,
     stored_degree: u32,
     fraction: u32,
-    pub antialias: bool,
+    flags: u8,
+    /// The program that wrote it, where the file tells.
+    pub program: Option<String>,
 }
 
 impl SpzHead {
     /// Degree of the colours that are read.
     pub fn sh_degree(&self) -> u32 {
         self.stored_degree.min(3)
+    }
+
+    /// Whether opacities are compensated for the pixel filter.
+    pub fn antialias(&self) -> bool {
+        self.has(ANTIALIASED)
+    }
+
+    fn has(&self, flag: u8) -> bool {
+        self.flags & flag != 0
+    }
+
+    /// Bytes of the tree of levels of detail.
+    fn tree(&self) -> usize {
+        if self.version < 4 && self.has(HAS_LEVELS) { self.splats * LEVEL } else { 0 }
     }
 
     /// Bytes per splat of each array, in the order in which they stand.
@@ -66,13 +96,15 @@ impl SpzHead {
         if degree > DEGREES || fraction > 24 {
             return Err(invalid(format!("degree {degree} with {fraction} fractional bits cannot be")));
         }
-        Ok(SpzHead {
+        let head = SpzHead {
             version,
             splats: splats as usize,
             stored_degree: degree.into(),
             fraction: fraction.into(),
-            antialias: flags & ANTIALIASED != 0,
-        })
+            flags,
+            program: None,
+        };
+        Ok(SpzHead { program: (head.tree() > 0).then(|| "Spark".to_owned()), ..head })
     }
 }
 
@@ -91,33 +123,71 @@ pub(super) fn head(path: &Path, start: &[u8]) -> Result<SpzHead, SceneError> {
     read.map_err(|e| {
         SceneError::invalid(path, "header", format!("it is packed, and cannot be unpacked as `.spz`: {e}"))
     })?;
-    SpzHead::parse(path, &bytes)
+    let mut head = SpzHead::parse(path, &bytes)?;
+    if head.version >= 4 && head.has(HAS_EXTENSIONS) {
+        let extensions = contents(start).and_then(|at| start.get(LONG_HEADER..at)).unwrap_or_default();
+        let mut notes = records(extensions).filter_map(|(_, payload)| std::str::from_utf8(payload).ok());
+        let named = notes.find_map(lichtfeld);
+        head.program = head.program.or(named);
+    }
+    Ok(head)
 }
 
-/// Unpacks the arrays of a file.
-fn arrays(path: &Path, bytes: &[u8], head: &SpzHead) -> Result<[Vec<u8>; 6], SceneError> {
+/// The number that some bytes of a file hold.
+fn number(bytes: &[u8], at: usize, size: usize) -> Option<usize> {
+    let bytes = bytes.get(at..at.checked_add(size)?)?;
+    let value = bytes.iter().rev().fold(0u64, |value, b| value << 8 | u64::from(*b));
+    usize::try_from(value).ok()
+}
+
+/// Where the table of contents of version 4 stands. The extensions come before it.
+fn contents(bytes: &[u8]) -> Option<usize> {
+    number(bytes, 16, 4).filter(|&at| at >= LONG_HEADER)
+}
+
+/// The extensions of a file: the number of each, and its data. What is cut short ends them.
+fn records(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
+    let mut left = bytes;
+    std::iter::from_fn(move || {
+        let (kind, length) = (number(left, 0, 4)?, number(left, 4, 4)?);
+        let (payload, after) = left.get(8..)?.split_at_checked(length)?;
+        left = after;
+        Some((kind, payload))
+    })
+}
+
+/// The axes that the extensions declare.
+fn axes(extensions: &[u8]) -> usize {
+    let declared = records(extensions).filter(|(kind, _)| *kind == AXES_EXTENSION);
+    let mut axes = declared.filter_map(|(_, payload)| number(payload, 0, 4));
+    axes.find(|axes| (1..=MOST_AXES).contains(axes)).unwrap_or(RIGHT_UP_BACK)
+}
+
+/// Unpacks the arrays of a file. After them comes what else it holds: the tree of levels, the extensions.
+fn arrays(path: &Path, bytes: &[u8], head: &SpzHead) -> Result<([Vec<u8>; 6], Vec<u8>), SceneError> {
     let damaged = |e: &dyn std::fmt::Display| SceneError::invalid(path, "the packed data", e);
     let mut arrays: [Vec<u8>; 6] = Default::default();
+    let mut more = Vec::new();
     let lengths = head.strides().map(|stride| head.splats * stride);
     if head.version < 4 {
-        let mut stream = GzDecoder::new(bytes);
+        let mut stream: Box<dyn Read + '_> = match bytes.starts_with(&GZIP) {
+            true => Box::new(GzDecoder::new(bytes)),
+            false => Box::new(bytes),
+        };
         stream.read_exact(&mut [0; HEADER]).map_err(|e| damaged(&e))?;
         for (array, length) in arrays.iter_mut().zip(lengths) {
             // What a damaged head promises is not reserved before it is there.
             stream.by_ref().take(length as u64).read_to_end(array).map_err(|e| damaged(&e))?;
         }
         // The check sum comes after what else a file may hold.
-        std::io::copy(&mut stream.take(MOST_EXTENSIONS), &mut std::io::sink()).map_err(|e| damaged(&e))?;
+        stream.take(MOST_EXTENSIONS).read_to_end(&mut more).map_err(|e| damaged(&e))?;
     } else {
         // The table of contents has the packed and the whole length of each array that is not empty.
-        let number = |at: usize, size: usize| -> Option<usize> {
-            let bytes = bytes.get(at..at.checked_add(size)?)?;
-            let value = bytes.iter().rev().fold(0u64, |value, b| value << 8 | u64::from(*b));
-            usize::try_from(value).ok()
-        };
+        let number = |at: usize, size: usize| number(bytes, at, size);
         let streams = usize::from(bytes[15]);
         let cut = || damaged(&"its table of contents is cut short");
-        let contents = number(16, 4).filter(|&at| at >= LONG_HEADER).ok_or_else(cut)?;
+        let contents = contents(bytes).ok_or_else(cut)?;
+        more.extend(bytes.get(LONG_HEADER..contents).ok_or_else(cut)?);
         let mut at = contents + 16 * streams;
         let present = arrays.iter_mut().zip(lengths).filter(|(_, length)| *length > 0);
         for (stream, (array, length)) in present.enumerate() {
@@ -134,13 +204,19 @@ fn arrays(path: &Path, bytes: &[u8], head: &SpzHead) -> Result<[Vec<u8>; 6], Sce
             return Err(damaged(&reason));
         }
     }
-    Ok(arrays)
+    Ok((arrays, more))
 }
 
-/// Reads such a file, in the axes of `.ply`.
-pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Splats, SceneError> {
+/// Reads such a file, in the axes of `.ply`, and says in words what else was done.
+pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<(Splats, Vec<String>), SceneError> {
     let head = head(path, bytes)?;
-    let [positions, alphas, colours, scales, rotations, rest] = arrays(path, bytes, &head)?;
+    let ([positions, alphas, colours, scales, rotations, rest], more) = arrays(path, bytes, &head)?;
+    let mut notes = Vec::new();
+    let (tree, extensions) = more.split_at_checked(head.tree()).ok_or_else(|| {
+        SceneError::invalid(path, "the packed data", "it ends within the tree of its levels of detail")
+    })?;
+    // With levels, opacities up to 2 are stored.
+    let most_opaque = if tree.is_empty() { 1.0 } else { 2.0 };
     let mut splats = Splats { sh_degree: head.sh_degree(), ..Splats::default() };
     let [position, _, _, _, rotation, coefficients] = head.strides();
     let kept = splats.sh_stride() - 3;
@@ -149,7 +225,7 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Splats, SceneError> {
             1 => position_of_halves(&positions[position * i..]),
             _ => fixed_point(&positions[position * i..], head.fraction),
         });
-        splats.opacities.push(stored_logit(f32::from(alphas[i]) / 255.0));
+        splats.opacities.push(stored_logit(most_opaque * f32::from(alphas[i]) / 255.0));
         let colour = |c: usize| (f32::from(colours[3 * i + c]) / 255.0 - 0.5) / COLOUR_SCALE;
         splats.sh.extend([0, 1, 2].map(colour));
         splats.log_scales.push([0, 1, 2].map(|c| f32::from(scales[3 * i + c]) / 16.0 - 10.0));
@@ -160,7 +236,48 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Splats, SceneError> {
         let own = &rest[coefficients * i..][..kept];
         splats.sh.extend(own.iter().map(|&v| (f32::from(v) - 128.0) / 128.0));
     }
-    Ok(splats.half_turned(TURN_ABOUT))
+    if !tree.is_empty() {
+        // A splat with children stands in for them from afar.
+        let has_none = |i: &usize| tree[LEVEL_COUNT * i..][..LEVEL_COUNT] == [0; LEVEL_COUNT];
+        let finest: Vec<usize> = (0..head.splats).filter(has_none).collect();
+        let (all, coarse) = (head.splats, head.splats - finest.len());
+        notes.push(format!("{coarse} of {all} splats are left out: they are of coarser levels of detail"));
+        splats = splats.select(&finest);
+    }
+    let axes = if head.has(HAS_EXTENSIONS) { axes(extensions) } else { RIGHT_UP_BACK };
+    if axes != RIGHT_UP_BACK {
+        notes.push(format!("its axes are declared as {}", axes_in_words(axes)));
+    }
+    Ok((in_axes_of_ply(&splats, axes), notes))
+}
+
+/// Which way axes point: the first to the right, the second or third up, the third or second ahead.
+fn ways(axes: usize) -> [bool; 3] {
+    let bit = |k: usize| (axes - 1) >> k & 1 == 1;
+    let ahead = if axes <= LAST_WITH_Y_UP { bit(2) } else { !bit(2) };
+    [bit(0), bit(1), ahead]
+}
+
+fn axes_in_words(axes: usize) -> String {
+    let [right, up, ahead] = ways(axes);
+    let x = if right { "right" } else { "left" };
+    let (vertical, depth) = (if up { "up" } else { "down" }, if ahead { "forward" } else { "back" });
+    match axes <= LAST_WITH_Y_UP {
+        true => format!("x {x}, y {vertical}, z {depth}"),
+        false => format!("x {x}, y {depth}, z {vertical}"),
+    }
+}
+
+/// Splats in the axes of `.ply`: x right, y down, z forward.
+fn in_axes_of_ply(splats: &Splats, axes: usize) -> Splats {
+    let [right, up, ahead] = ways(axes);
+    let sign = |plus: bool| if plus { 1.0 } else { -1.0 };
+    if axes <= LAST_WITH_Y_UP {
+        return splats.flipped([sign(right), sign(!up), sign(ahead)]);
+    }
+    // First x right, y forward, z up; then a quarter turn, which leads z against y.
+    let upright = splats.flipped([sign(right), sign(ahead), sign(up)]);
+    upright.transformed(&Similarity::turn(DMat3::from_rotation_x(std::f64::consts::FRAC_PI_2)))
 }
 
 fn fixed_point(bytes: &[u8], fraction: u32) -> [f32; 3] {

@@ -3,6 +3,7 @@
 use glam::{DVec3, Mat3, Vec3};
 use segwild_scene::{Export, SceneFrame, SplatFile, SplatLayout, Splats, UpAxis, ply};
 use serde_json::{Value, json};
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 fn file(name: &str) -> PathBuf {
@@ -112,6 +113,131 @@ fn packed_files_that_are_cut_or_changed_are_refused_in_words() {
     }
 }
 
+/// The bytes of a `.spz` of version 3 without its gzip stream.
+fn unpacked_spz() -> Vec<u8> {
+    let packed = std::fs::read(file("six-v3.spz")).unwrap();
+    let mut bytes = Vec::new();
+    flate2::read::GzDecoder::new(&packed[..]).read_to_end(&mut bytes).unwrap();
+    bytes
+}
+
+/// Where the flags of an `.spz` stand, and those of extensions and of levels of detail.
+const SPZ_FLAGS: usize = 14;
+const HAS_EXTENSIONS: u8 = 2;
+const HAS_LEVELS: u8 = 0x80;
+
+/// An extension of an `.spz`.
+fn extension(kind: u32, payload: &[u8]) -> Vec<u8> {
+    [&kind.to_le_bytes()[..], &(payload.len() as u32).to_le_bytes(), payload].concat()
+}
+
+#[test]
+fn an_spz_that_is_not_in_a_gzip_stream_is_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("raw.spz");
+    let bytes = unpacked_spz();
+    std::fs::write(&path, &bytes).unwrap();
+    assert_eq!(read(&path), read(&file("six-v3.spz")));
+    std::fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();
+    let message = SplatFile::open(&path).unwrap().read().unwrap_err().to_string();
+    assert!(message.contains("raw.spz") && message.contains("of an array"), "{message}");
+}
+
+/// Adobe's extension of the axes: `CoordinateSystem` of nianticlabs/spz, `src/cc/splat-types.h`, from 1 on.
+const AXES: &str = "LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU";
+
+#[test]
+fn an_spz_that_declares_its_axes_is_not_turned_over() {
+    const AXES_EXTENSION: u32 = 0xadbe_0003;
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("axes.spz");
+    let plain = read(&file("six-v3.spz"));
+    // What the numbers of the file are, whatever its axes: without a declaration, y and z point up and back.
+    let stored = Mat3::from_diagonal(Vec3::new(1.0, -1.0, -1.0));
+    for (i, axes) in AXES.split(' ').enumerate() {
+        let way = |letter: char| match letter {
+            'R' => Vec3::X,
+            'L' => Vec3::NEG_X,
+            'D' => Vec3::Y,
+            'U' => Vec3::NEG_Y,
+            'F' => Vec3::Z,
+            _ => Vec3::NEG_Z,
+        };
+        let [x, y, z] = [0, 1, 2].map(|k| way(axes.as_bytes()[k].into()));
+        let to = Mat3::from_cols(x, y, z) * stored;
+        let mut bytes = unpacked_spz();
+        bytes[SPZ_FLAGS] |= HAS_EXTENSIONS;
+        bytes.extend(extension(0x1234_5678, b"of another program"));
+        bytes.extend(extension(AXES_EXTENSION, &(i as u32 + 1).to_le_bytes()));
+        std::fs::write(&path, bytes).unwrap();
+        let opened = SplatFile::open(&path).unwrap().read().unwrap();
+        assert_eq!(opened.notes.len(), usize::from(axes != "RUB"), "{axes}: {:?}", opened.notes);
+        let turned = opened.splats;
+        for k in 0..6 {
+            assert!((turned.mean(k) - to * plain.mean(k)).length() < 1e-5, "{axes}");
+            let off = turned.covariance(k) - to * plain.covariance(k) * to.transpose();
+            assert!(off.to_cols_array().iter().all(|v| v.abs() < 1e-6), "{axes}: {off}");
+            // The same colour from the side that is turned with them.
+            let from = Vec3::new(0.36, -0.48, 0.8);
+            let colour = |splats: &Splats, from: Vec3| {
+                let [_, a, b, c] = [0, 3, 6, 9].map(|at| splats.sh[k * splats.sh_stride() + at]);
+                -a * from.y + b * from.z - c * from.x
+            };
+            assert!((colour(&turned, to * from) - colour(&plain, from)).abs() < 1e-5, "{axes}");
+        }
+    }
+}
+
+#[test]
+fn an_spz_of_lichtfeld_studio_names_it() {
+    const CONTENTS: usize = 16;
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("stamped.spz");
+    let whole = std::fs::read(file("six-v4.spz")).unwrap();
+    let at = u32::from_le_bytes(whole[CONTENTS..CONTENTS + 4].try_into().unwrap()) as usize;
+    // Its writer, src/io/formats/spz.cpp, declares the axes that are the format's own, and then signs.
+    let stamp = br#"{"lichtfeld_provenance":1,"app_version":"v0.5.1","build_commit":"1a2b"}"#;
+    let more = [extension(0xadbe_0003, &4u32.to_le_bytes()), extension(0x4c46_0001, stamp)].concat();
+    let mut bytes = [&whole[..at], &more, &whole[at..]].concat();
+    bytes[SPZ_FLAGS] |= HAS_EXTENSIONS;
+    bytes[CONTENTS..CONTENTS + 4].copy_from_slice(&((at + more.len()) as u32).to_le_bytes());
+    std::fs::write(&path, bytes).unwrap();
+    let opened = SplatFile::open(&path).unwrap();
+    assert_eq!(opened.writer.program.as_deref(), Some("LichtFeld Studio v0.5.1"));
+    assert_eq!(read(&path), read(&file("six-v4.spz")));
+}
+
+#[test]
+fn an_spz_of_spark_with_levels_of_detail_does_not_show_all_of_them_at_once() {
+    const OPACITIES: usize = 16 + 9 * 6;
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("levels.spz");
+    // rust/spark-lib/src/spz.rs: half of each opacity; after the arrays, how many children each splat has, and the
+    // first of them.
+    let mut bytes = unpacked_spz();
+    bytes[SPZ_FLAGS] |= HAS_LEVELS;
+    bytes[OPACITIES..OPACITIES + 6].copy_from_slice(&[127, 20, 50, 127, 100, 127]);
+    bytes.extend([2u16, 0, 0, 1, 0, 0].map(u16::to_le_bytes).concat());
+    bytes.extend([1u32, 0, 0, 4, 0, 0].map(u32::to_le_bytes).concat());
+    let packed = |bytes: &[u8]| {
+        let mut stream = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        stream.write_all(bytes).unwrap();
+        std::fs::write(&path, stream.finish().unwrap()).unwrap();
+        SplatFile::open(&path).unwrap()
+    };
+    let opened = packed(&bytes);
+    assert_eq!((opened.splats, opened.writer.program.as_deref()), (6, Some("Spark")));
+    let finest = opened.read().unwrap();
+    assert_eq!(finest.notes, ["2 of 6 splats are left out: they are of coarser levels of detail"]);
+    let whole = read(&file("six-v3.spz")).select(&[1, 2, 4, 5]);
+    assert_eq!((&finest.splats.means, &finest.splats.sh), (&whole.means, &whole.sh));
+    let opacities = [0, 1, 2, 3].map(|i| finest.splats.opacity(i) * 255.0);
+    let wanted = [40.0, 100.0, 200.0, 254.0];
+    assert!((0..4).all(|i| (opacities[i] - wanted[i]).abs() < 0.01), "{opacities:?}");
+    let message = packed(&bytes[..bytes.len() - 1]).read().unwrap_err().to_string();
+    assert!(message.contains("levels of detail"), "{message}");
+}
+
 /// A zip archive of stored files.
 fn zip(files: &[(&str, &[u8])]) -> Vec<u8> {
     let (mut archive, mut list) = (Vec::new(), Vec::new());
@@ -176,7 +302,10 @@ fn an_archive_that_is_no_sog_is_refused_in_words() {
         (with("means", json!(null)), &fits, "`means` is missing"),
         (with("count", json!(3)), &fits, "2 x 1 pixels"),
         (with("count", json!(20_000_000)), &fits, "thin them out"),
-        (with("scales", json!({ "codebook": [1.0], "files": ["scales"] })), &fits, "1 numbers"),
+        (with("scales", json!({ "codebook": [], "files": ["scales"] })), &fits, "0 numbers"),
+        (with("scales", json!({ "codebook": vec![1.0; 257], "files": ["scales"] })), &fits, "257 numbers"),
+        // The images take the numbers 7 to 9 of a table of one.
+        (with("scales", json!({ "codebook": [1.0], "files": ["scales"] })), &fits, "none of its splats"),
         (with("quats", json!({ "files": ["\u{7}gone"] })), &fits, "`gone` in the archive"),
         (with("shN", json!({ "bands": 4, "files": ["a", "b"] })), &fits, "degree 4"),
         (whole.clone(), &image(1048, 1024), "1048 x 1024 pixels"),
@@ -185,10 +314,53 @@ fn an_archive_that_is_no_sog_is_refused_in_words() {
         let message = result(&meta, image).unwrap_err();
         assert!(message.contains(words) && message.contains("odd.sog"), "{words}: {message}");
     }
+    // What GaussForge says of its training.
+    result(&with("antialias", json!(true)), &fits).unwrap();
+    assert_eq!(SplatFile::open(&path).unwrap().writer.antialias, Some(true));
     std::fs::write(&path, zip(&[("other.txt", b"text")])).unwrap();
     assert!(
         SplatFile::open(&path).unwrap_err().to_string().contains("`meta.json` in the archive: it is missing")
     );
+}
+
+#[test]
+fn colours_of_a_sog_whose_groups_are_not_counted_are_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("groups.sog");
+    let table: Vec<f32> = (0..200).map(|i| i as f32 / 256.0).collect();
+    let image = |width: u32, pixel: &dyn Fn(u32) -> [u8; 4]| {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        let pixels = image::RgbaImage::from_fn(width, 1, |x, _| image::Rgba(pixel(x)));
+        pixels.write_to(&mut bytes, image::ImageFormat::WebP).unwrap();
+        bytes.into_inner()
+    };
+    let own = image(2, &|_| [9, 8, 7, 255]);
+    // Three coefficients of each of 64 groups; the splats take the first and the third group.
+    let centroids = image(192, &|x| [x as u8, x as u8, x as u8, 255]);
+    let labels = image(2, &|x| [2 * x as u8, 0, 0, 255]);
+    // src/core/sogs.cpp of LichtFeld Studio in 2025 has another name for their number; others have had none.
+    for count in [json!({ "count": 3 }), json!({ "palette_size": 3, "coeffs": 3 }), json!({})] {
+        let mut palette = json!({ "bands": 1, "codebook": table, "files": ["centroids", "labels"] });
+        palette.as_object_mut().unwrap().extend(count.as_object().unwrap().clone());
+        let meta = json!({
+            "version": 2, "count": 2,
+            "means": { "mins": [0, 0, 0], "maxs": [1, 1, 1], "files": ["own", "own"] },
+            "scales": { "codebook": table, "files": ["own"] },
+            "quats": { "files": ["own"] },
+            "sh0": { "codebook": table, "files": ["own"] },
+            "shN": palette
+        });
+        let meta = meta.to_string().into_bytes();
+        let images = [("own", &own[..]), ("centroids", &centroids[..]), ("labels", &labels[..])];
+        let files = [&[("meta.json", &meta[..])][..], &images].concat();
+        std::fs::write(&path, zip(&files)).unwrap();
+        let splats = read(&path);
+        assert_eq!(splats.sh_degree, 1);
+        for (i, group) in [(0, 0), (1, 2)] {
+            let wanted: Vec<f32> = (0..9).map(|k| (3 * group + k / 3) as f32 / 256.0).collect();
+            assert_eq!(&splats.sh[12 * i + 3..12 * i + 12], wanted, "{count}");
+        }
+    }
 }
 
 #[test]
@@ -467,7 +639,8 @@ fn files_of_each_program_are_recognised_and_read_in_its_order() {
     // Comments, properties, coefficients beyond the constant, program, axis, mode. Each names the writer that it
     // follows; of these, splat-transform's alone was read when the test was written.
     type Case<'a> = (&'a [&'a str], &'a str, usize, &'a str, Option<UpAxis>, Option<bool>);
-    let cases: [Case; 10] = [
+    let ahead = Some(UpAxis::Direction([0.0, -0.6, -0.8]));
+    let cases: [Case; 12] = [
         // graphdeco-inria/gaussian-splatting, scene/gaussian_model.py, `save_ply`.
         (&[], &with_normals, 45, "3D Gaussian Splatting, or in its layout", None, None),
         // nerfstudio-project/gsplat, gsplat/exporter.py, `splat2ply_bytes`.
@@ -492,6 +665,15 @@ fn files_of_each_program_are_recognised_and_read_in_its_order() {
             down,
             Some(true),
         ),
+        // Since it estimates which way is up, it writes a vector.
+        (
+            &["comment Exported from Brush", "comment Vertical axis: 0 -3 -4", "comment SH degree: 2"],
+            &of_brush,
+            24,
+            "Brush",
+            ahead,
+            None,
+        ),
         // Postshot, whose source is closed: the comment as playcanvas/splat-transform reads it.
         (&["comment antialiased 0"], &plain, 45, "Postshot", None, Some(false)),
         (&["comment antialiased 1"], &plain, 45, "Postshot", None, Some(true)),
@@ -501,6 +683,15 @@ fn files_of_each_program_are_recognised_and_read_in_its_order() {
             &with_normals,
             9,
             "LichtFeld Studio",
+            None,
+            None,
+        ),
+        // The note since it has the version, src/core/provenance.cpp.
+        (
+            &["obj_info {\"lichtfeld_provenance\":1,\"iteration\":30000,\"app_version\":\"v0.5.1\"}"],
+            &with_normals,
+            0,
+            "LichtFeld Studio v0.5.1",
             None,
             None,
         ),
