@@ -14,6 +14,8 @@ pub struct Colmap {
     pub has_cuda: bool,
     /// Whether it has GLOMAP within it, as `global_mapper`.
     pub(crate) has_global_mapper: bool,
+    /// Whether it estimates focal lengths from pairs of photos, as `view_graph_calibrator`.
+    pub(crate) has_calibrator: bool,
 }
 
 impl Colmap {
@@ -28,8 +30,10 @@ impl Colmap {
     pub(crate) fn of_help(program: PathBuf, text: &str) -> Option<Colmap> {
         let version = text.lines().next()?.split(" -- ").next()?.trim().to_owned();
         let has_cuda = text.lines().take(3).any(|line| line.contains("with CUDA"));
-        let has_global_mapper = text.lines().any(|line| line.trim() == "global_mapper");
-        version.starts_with("COLMAP").then_some(Colmap { program, version, has_cuda, has_global_mapper })
+        let has = |command: &str| text.lines().any(|line| line.trim() == command);
+        let (has_global_mapper, has_calibrator) = (has("global_mapper"), has("view_graph_calibrator"));
+        let found = Colmap { program, version, has_cuda, has_global_mapper, has_calibrator };
+        found.version.starts_with("COLMAP").then_some(found)
     }
 
     /// Its file.
@@ -128,6 +132,9 @@ mod tests {
         let new = "COLMAP 4.0.1 -- Structure-from-Motion\n  (Commit 1a2b on 2026-01-01 with CUDA)\n  global_mapper\n";
         let new = of(new).unwrap();
         assert_eq!((&*new.version, new.has_cuda, new.has_global_mapper), ("COLMAP 4.0.1", true, true));
+        assert!(!new.has_calibrator);
+        let newer = of("COLMAP 4.2.1 -- x\n  global_mapper\n  view_graph_calibrator\n").unwrap();
+        assert!(newer.has_global_mapper && newer.has_calibrator);
         assert_eq!(of("another program"), None);
     }
 

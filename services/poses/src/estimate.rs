@@ -424,6 +424,7 @@ impl Estimation<'_> {
         glomap: &Glomap,
         photos: &UnposedPhotos,
     ) -> Result<Vec<PoseModel>, PosesError> {
+        self.calibrate(glomap, photos)?;
         self.say(format!("{} finds the poses of {} photos at once", glomap.version, photos.photos.len()));
         self.progress.next_part(None);
         let (database, list, models) = (self.folder.database(), self.list(), self.empty_models()?);
@@ -435,6 +436,25 @@ impl Estimation<'_> {
         let mut models = read_models(&models)?;
         models.retain(|model| model.size.photos >= LEAST_PHOTOS);
         Ok(models)
+    }
+
+    /// Estimates focal lengths that most photos do not say, for a global mapper that does not do that itself.
+    fn calibrate(&mut self, glomap: &Glomap, photos: &UnposedPhotos) -> Result<(), PosesError> {
+        let Some(command) = glomap.calibrator()? else { return Ok(()) };
+        let with_focal_length = photos.photos.iter().filter(|photo| photo.camera.is_some()).count();
+        let cameras: BTreeSet<i64> = self.folder.images()?.values().map(|image| image.camera).collect();
+        if !mapper::calibrates(photos.photos.len(), with_focal_length, cameras.len()) {
+            return Ok(());
+        }
+        self.say("most photos do not say their focal length: pairs of them tell it".to_owned());
+        let arguments = command.path("database_path", &self.folder.database()).arguments();
+        match self.child(&[], glomap.program(), &arguments, |_, _| {}) {
+            Err(PosesError::Program(failed @ ProgramError::Failed { .. })) => {
+                self.events.warn(Some(STAGE), format!("focal lengths are guesses: {failed}"));
+                Ok(())
+            }
+            done => done,
+        }
     }
 
     /// The models of COLMAP's mapper, the largest first; none where it made none.
