@@ -70,6 +70,12 @@ pub const ROWS: &[FileCase] = &[
         expect: Expect::Reads { photos: 12, words: &[] },
     },
     FileCase {
+        name: "a model in outputs/sfm, as hloc puts it",
+        make: |files| files.rename("sparse/0", "outputs/sfm"),
+        settings: &[],
+        expect: Expect::Reads { photos: 12, words: &[] },
+    },
+    FileCase {
         name: "an undistorted model beside the distorted one",
         make: |files| colmap::write(&files.path("distorted/sparse/0"), &files.model).expect("written"),
         settings: &[],

@@ -5,15 +5,15 @@ use crate::names::below;
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-/// Folders within a scene's that hold `sparse`, or a model itself: COLMAP's own, those of its undistorter and of INRIA's and
-/// nerfstudio's scripts, the nearest first. COLMAP's automatic reconstructor numbers those within `dense`.
-const BASES: [&str; 6] = ["", "dense", "dense/0", "colmap", "undistorted", "distorted"];
+/// Folders within a scene's that hold `sparse`, or a model itself: COLMAP's own, those of its undistorter, of INRIA's and
+/// nerfstudio's scripts and of hloc, the nearest first. COLMAP's automatic reconstructor numbers those within `dense`.
+const BASES: [&str; 8] = ["", "dense", "dense/0", "colmap", "undistorted", "distorted", "sfm", "outputs/sfm"];
 /// The one that stands for all numbers.
 const NUMBERED: &str = "dense/0";
 /// So many of them are COLMAP's own.
 const OWN: usize = 3;
 /// Folders of a scene that are searched for a reconstruction, as messages list them: [`BASES`] in words.
-pub const MODEL_FOLDERS: [&str; 8] = [
+pub const MODEL_FOLDERS: [&str; 10] = [
     "sparse/0 (1, 2, ...)",
     "sparse",
     "dense/sparse",
@@ -21,6 +21,8 @@ pub const MODEL_FOLDERS: [&str; 8] = [
     "colmap/sparse",
     "undistorted/sparse",
     "distorted/sparse",
+    "sfm",
+    "outputs/sfm",
     "the folder itself",
 ];
 
