@@ -13,8 +13,8 @@ use crate::photo_files::LocateError;
 use crate::split::{Split, SplitPart};
 use crate::statistics::upper_median;
 use crate::{
-    HoldOut, ImportedSplats, PosedPhotos, Scene, SceneError, SceneFrame, SceneSettings, Skipped, SplatFile,
-    View,
+    HoldOut, ImportedSplats, PosedPhotos, RENDERED_VIEWS, Scene, SceneError, SceneFrame, SceneSettings,
+    Skipped, SplatFile, View,
 };
 use crate::{alpha, keep_masks, orientation};
 use image::metadata::Orientation;
@@ -114,6 +114,7 @@ impl Scene {
             file => Some(ImportedSplats {
                 file: SplatFile::open(Path::new(file))?,
                 frame: settings.imported_frame.clone(),
+                rendered: folder.join(RENDERED_VIEWS).is_file(),
             }),
         };
         let mut scene = Scene { views, points, skipped, notes, frame, imported };

@@ -151,6 +151,11 @@ fn splats_without_photos_get_views_of_their_own_and_the_run_can_move() {
     assert!(run.join("objects/sheet.png").is_file());
     let exported = ply::read(&run.join("scene.ply")).expect("it opens");
     assert!(apart(&own, &exported) < 1e-5);
+    // They are shown as they were rendered: neither their world nor their mode is left to a comparison.
+    assert!(printed.contains("the photos are views of the splats: as it is"), "{printed}");
+    let header = std::fs::read(run.join("scene.ply")).expect("it opens");
+    let mode = b"comment SplatRenderMode: default\n";
+    assert!(header.windows(mode.len()).any(|words| words == mode));
     let moved = dir.path().join("elsewhere");
     std::fs::rename(&run, &moved).expect("it moves");
     works(&["segment", &show(&moved), "--photo", "000.png", "--positive", "48,36", "--name", "middle"]);

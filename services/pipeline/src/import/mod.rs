@@ -10,7 +10,8 @@ use segwild_flow::files::{self, FileError};
 use segwild_raster::{Channels, ProjectOptions, Rasterizer};
 use segwild_scene::ply::SH0;
 use segwild_scene::{
-    Alpha, HoldOut, Pose, ReadSplats, SceneError, SceneFrame, SplatFile, Splats, UpAxis, write_rgba,
+    Alpha, HoldOut, Pose, RENDERED_VIEWS, ReadSplats, SceneError, SceneFrame, SplatFile, Splats, UpAxis,
+    write_rgba,
 };
 use segwild_trainer::AppearanceModel;
 use serde::{Deserialize, Serialize};
@@ -20,8 +21,6 @@ use std::path::{Path, PathBuf};
 
 /// The folder of the views in the run folder.
 const VIEWS: &str = "views";
-/// What they were rendered from.
-const RECORD: &str = "views/views.json";
 /// Raised when the same splats are rendered in another way.
 const RULE: u32 = 2;
 /// Height of a view as a share of its width.
@@ -31,7 +30,7 @@ const POINTS: usize = 20_000;
 /// Opacity from which a splat is written as a point.
 const OPAQUE: f32 = 0.5;
 
-/// `views.json`: what the views show.
+/// [`RENDERED_VIEWS`]: what the views show.
 #[derive(PartialEq, Serialize, Deserialize)]
 struct RenderedViews {
     rule: u32,
@@ -54,8 +53,10 @@ pub fn render_views(
     settings.train.appearance_model = AppearanceModel::None;
     settings.train.robust = false;
     let views = folder.path().join(VIEWS);
+    // What they were rendered from.
+    let record_file = format!("{VIEWS}/{RENDERED_VIEWS}");
     let record = RenderedViews { rule: RULE, splats: file.digest()?, size: settings.scene.size };
-    if folder.read_json::<RenderedViews>(RECORD).is_ok_and(|before| before == record) {
+    if folder.read_json::<RenderedViews>(&record_file).is_ok_and(|before| before == record) {
         return Ok(views);
     }
     let ReadSplats { splats, .. } = file.read()?;
@@ -90,7 +91,7 @@ pub fn render_views(
         "frames": frames,
     });
     files::write_atomic(&views.join("transforms.json"), transforms.to_string().as_bytes())?;
-    folder.write_json(RECORD, &record)?;
+    folder.write_json(&record_file, &record)?;
     Ok(views)
 }
 

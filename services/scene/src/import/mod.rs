@@ -81,7 +81,12 @@ pub struct ImportedSplats {
     pub file: SplatFile,
     /// How its world lies in that of the poses ([`crate::SceneSettings::imported_frame`]).
     pub frame: String,
+    /// Whether the photos are renders of these splats: then their world is that of the poses, and they are as they were rendered.
+    pub rendered: bool,
 }
+
+/// The file in a scene's folder by which its photos are renders of imported splats.
+pub const RENDERED_VIEWS: &str = "views.json";
 
 /// The name of nerfstudio's file with the transform from the world of the poses to that of the splats.
 const DATAPARSER_TRANSFORMS: &str = "dataparser_transforms.json";
@@ -105,7 +110,8 @@ impl ImportedSplats {
     /// # Errors
     /// When a file cannot be read.
     pub fn digest(&self) -> Result<String, SceneError> {
-        digest_of([self.file.path.clone()].into_iter().chain(self.transform_files()))
+        let files = digest_of([self.file.path.clone()].into_iter().chain(self.transform_files()))?;
+        Ok(if self.rendered { format!("{files} rendered") } else { files })
     }
 }
 

@@ -72,6 +72,11 @@ pub(super) fn find(
     imported: &ImportedSplats,
     explained: &mut dyn FnMut(&Similarity) -> Result<f64, TrainError>,
 ) -> Result<FoundFrame, TrainError> {
+    if imported.rendered {
+        let to = Similarity::IDENTITY;
+        let note = format!("the photos are views of the splats: {}", words(&to, explained(&to)?));
+        return Ok(FoundFrame { to, note });
+    }
     if imported.frame != "auto" {
         let to = match &*imported.frame {
             "poses" => Similarity::IDENTITY,

@@ -53,7 +53,9 @@ pub(crate) fn fit(
     }
     let sample = fitter.sample()?;
     let placed = |to: &Similarity| own.transformed(to).from_file_frame(&scene.frame);
-    let modes = file.writer.antialias.map_or(vec![false, true], |given| vec![given]);
+    // Views of the splats themselves are rendered without compensation, unless the file says otherwise.
+    let given = file.writer.antialias.or(imported.rendered.then_some(false));
+    let modes = given.map_or(vec![false, true], |given| vec![given]);
     let found = frame::find(scene, &own, imported, &mut |to| {
         let splats = placed(to);
         modes.iter().try_fold(f64::NEG_INFINITY, |best, &mode| {
@@ -62,7 +64,7 @@ pub(crate) fn fit(
     })?;
     notes.push(found.note);
     let splats = placed(&found.to);
-    let antialias = match file.writer.antialias {
+    let antialias = match given {
         Some(given) => given,
         None => {
             let whole = |mode: bool| fitter.explained(&splats, mode, &sample, usize::MAX);
