@@ -16,9 +16,9 @@ const MIN_THICKNESS: f32 = 2.0;
 /// That reach, in median distances of its nodes from the plane (method, section 13). By choice.
 const THICKNESS_MEDIANS: f32 = 3.0;
 
-/// How far behind its plane a surface reaches, relative to the reach before it (method, section 13): nothing is seen through it,
-/// so that what lies there is its own noise. By choice.
-const REACH_BEHIND: f32 = 8.0;
+/// How far past its plane a surface reaches, on the side that no view sees, relative to the reach before it (method, section 13):
+/// nothing is seen through it, so that what lies there is its own noise. By choice.
+const REACH_PAST: f32 = 8.0;
 
 /// Cosine of the largest angle of a node's normal with the plane's (method, section 13): 45 degrees. By choice.
 const MIN_FACING: f32 = std::f32::consts::FRAC_1_SQRT_2;
@@ -53,7 +53,7 @@ const SHARE_OF_MEMBERS: f32 = 0.15;
 
 /// Reach of what is near the plane, relative to that of what is on it: before it, and behind it.
 const NEAR_BEFORE: f32 = 1.5;
-const NEAR_BEHIND: f32 = 2.0;
+const NEAR_PAST: f32 = 2.0;
 
 /// A plane with the side that the cameras see.
 #[derive(Clone, Copy, Debug)]
@@ -176,7 +176,7 @@ impl SplatGraph {
         let within = |i: usize, before: f32, past: f32| match &nodes[i] {
             Some(surface) => {
                 let (at, reach) = (plane.before(surface), plane.thickness);
-                free[i] && at < before * reach && at > -past * REACH_BEHIND * reach
+                free[i] && at < before * reach && at > -past * REACH_PAST * reach
             }
             None => false,
         };
@@ -197,7 +197,7 @@ impl SplatGraph {
                     let unseen = nodes[i].is_none();
                     inside[i] && share >= SHARE_OF_MEMBERS
                         || on[i] && share > SHARE_ON_PLANE
-                        || (unseen || within(i, NEAR_BEFORE, NEAR_BEHIND)) && share > SHARE_NEAR_PLANE
+                        || (unseen || within(i, NEAR_BEFORE, NEAR_PAST)) && share > SHARE_NEAR_PLANE
                 })
                 .collect();
         }
