@@ -21,7 +21,7 @@ pub enum Targets {
     #[default]
     Objects,
     /// The ground and the walls that objects stand on or before: what else the click takes along is counted as
-    /// `standing`. Known not to be good.
+    /// `standing`. Known not to be good on walls.
     Surfaces,
 }
 

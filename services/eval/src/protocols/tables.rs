@@ -339,7 +339,7 @@ fn closed(results: &Results, rows: &[RowOf]) -> String {
 /// Clicks on the ground and on walls: what they found, and what they took along.
 fn surfaces(results: &Results) -> String {
     let mut text = String::from(
-        "Clicks on the ground and on walls, which are known to take along what stands there:\n\n\
+        "Clicks on the ground and on walls, and what they take along of other objects:\n\n\
          | scene | row | provider | clicked | IoU | other objects among what was selected | worst photo |\n\
          |---|---|---|---|---:|---:|---:|\n",
     );
