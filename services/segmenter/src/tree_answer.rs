@@ -24,6 +24,9 @@ const CORRECTION_VOTE: f32 = 16.0;
 /// IoU of a group with the own mask of a photo with several positive clicks from which both mean the same. By choice.
 const MIN_AGREEMENT: f64 = 0.5;
 
+/// Share of a group's light on a surface from which the group is a piece of it (method, section 13). By choice.
+const MIN_SHARE_ON_SURFACE: f32 = 0.5;
+
 /// Something that clicks may select.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -138,8 +141,12 @@ pub(crate) fn answer(
     let has_surfaces = granularity.is_none() && boundaries != TreeBoundaries::Photo;
     let surface = start.surface.filter(|_| has_surfaces);
     let all_on_it = corrections.iter().all(|click| click.surface == start.surface);
-    // What the photos' frames cut off is no thing on the surface.
-    let may_be_thing = found.first().is_some_and(|first| tree.frame_of(first) < MIN_SURFACE_FRAME);
+    // What the photos' frames cut off is no thing on the surface, nor is a piece of it.
+    let is_thing = |first: &GroupCandidate, surface: usize| {
+        tree.frame_of(first) < MIN_SURFACE_FRAME
+            && tree.share_on(first, &tree.surfaces[surface]) < MIN_SHARE_ON_SURFACE
+    };
+    let may_be_thing = found.first().zip(surface).is_some_and(|(first, surface)| is_thing(first, surface));
     let on_surface =
         surface.is_some() && (all_on_it || !together) && !may_be_thing && !segmenter.finds_objects();
     if is_scene && !corrections.is_empty() && !on_surface {

@@ -12,7 +12,7 @@ use segwild_trainer::Model;
 pub(crate) const OBJECTS: &str = "objects";
 
 /// Raised when the bytes of a tree of the same input change.
-const FORMAT: u32 = 5;
+const FORMAT: u32 = 6;
 
 /// Long side in pixels at which views are compared and their boundaries found, at most (method, section 13): the constants of
 /// boundaries and ranking are of this size. At 640 px stone and bricks have boundaries that part what belongs together

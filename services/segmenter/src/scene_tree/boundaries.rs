@@ -1,4 +1,4 @@
-//! Boundary strength of one view from the photo and the geometry (method, section 13).
+//! Boundary strength of one view by the photo and by the geometry (method, section 13).
 
 use segwild_raster::Frame;
 use segwild_scene::Image;
@@ -22,14 +22,11 @@ const MIN_BEND: f32 = 0.03;
 /// click.
 const MIN_DEPTH_ALPHA: f32 = 0.5;
 
-/// The weighted sum of boundary maps of one size, clamped to [0, 1].
-pub fn combined(maps: [(f32, &Image); 2]) -> Image {
-    let mut sum = Image::zeros(maps[0].1.width, maps[0].1.height, 1);
-    for (weight, map) in maps {
-        sum.data.iter_mut().zip(map.plane(0)).for_each(|(sum, x)| *sum += weight * x);
-    }
-    sum.data.iter_mut().for_each(|x| *x = if x.is_finite() { x.clamp(0.0, 1.0) } else { 0.0 });
-    sum
+/// A map of strengths, which may be a stranger's, in [0, 1]: what is no number is none.
+pub fn bounded(strengths: &Image) -> Image {
+    let bounded = |x: &f32| if x.is_finite() { x.clamp(0.0, 1.0) } else { 0.0 };
+    let data = strengths.plane(0).iter().map(bounded).collect();
+    Image { width: strengths.width, height: strengths.height, channels: 1, data }
 }
 
 /// Where the geometry of a view has an edge, in [0, 1]: one plane. Inverse depth is linear on planes, so its second difference

@@ -2,7 +2,6 @@
 //! nothing else.
 
 use super::query::{SURFACE_IOU, expected};
-use super::tree::{Growth, TREES};
 use super::{GroupCandidate, NONE, SceneTree};
 use crate::{PosedView, TreeBoundaries};
 use glam::Vec2;
@@ -173,8 +172,7 @@ impl SceneTree {
                 }
                 let candidate = merges.parts_of(node);
                 let within: Vec<bool> = (0..leaves).map(|leaf| candidate[leaf] && is_wrong(leaf)).collect();
-                let average = TREES[number].1 == Growth::Average;
-                let score = expected(tree, node, gap, average) + DEPTH_WEIGHT * depth_of(&within);
+                let score = expected(number, tree, node, gap) + DEPTH_WEIGHT * depth_of(&within);
                 if best.is_none_or(|(most, ..)| score > most) {
                     best = Some((score, number, node));
                 }

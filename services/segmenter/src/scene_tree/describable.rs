@@ -1,7 +1,7 @@
 //! The groups of a scene that a text may describe: its parts, what they are parts of, and what they are made of.
 
-use super::query::{MIN_AREA, SCENE_AREA, expected};
-use super::tree::{Growth, TREES};
+use super::query::{MAX_PART_AREA, MIN_AREA, expected};
+
 use super::{GroupCandidate, NONE, SceneTree};
 use std::collections::HashSet;
 
@@ -128,7 +128,7 @@ impl SceneTree {
         let (mut found, mut area) = (Vec::new(), self.area(tree, node));
         for holder in self.trees[tree].merges.ancestors(node).skip(1) {
             let of_holder = self.area(tree, holder);
-            if found.len() == LEVELS || of_holder > SCENE_AREA {
+            if found.len() == LEVELS || of_holder > MAX_PART_AREA {
                 break;
             }
             if of_holder >= MIN_NESTED_RATIO * area {
@@ -156,7 +156,7 @@ impl SceneTree {
 
     /// A node as a candidate. How much higher its parent is does not count.
     fn described(&self, tree: usize, node: u32) -> GroupCandidate {
-        let score = expected(&self.trees[tree], node, 0.0, TREES[tree].1 == Growth::Average);
+        let score = expected(tree, &self.trees[tree], node, 0.0);
         GroupCandidate { nodes: vec![(tree, node)], score, area: self.area(tree, node) }
     }
 }
@@ -194,7 +194,7 @@ mod tests {
         assert_eq!(adds, [true, false, true, true, false, true], "by whichever tree; 5 is 0 and a crumb");
         assert_eq!(by_turns(vec![1, 2, 3], vec![7]), [1, 7, 2, 3]);
         let found = tree.describable();
-        assert!(found.len() <= MOST_DESCRIBABLE && found.iter().all(|group| group.area <= SCENE_AREA));
+        assert!(found.len() <= MOST_DESCRIBABLE && found.iter().all(|group| group.area <= MAX_PART_AREA));
         let parts = tree.parts().groups;
         assert_eq!(found[..parts.len()], parts[..]);
         let mut nodes: Vec<(usize, u32)> = found.iter().map(|group| group.nodes[0]).collect();

@@ -1,13 +1,14 @@
 //! The graph of splats whose distances the views vote on.
 
-use super::boundaries::{combined, depth_edges};
+use super::boundaries::{bounded, depth_edges};
 use super::node_surface::{self, FrontSums, NodeSurface};
 use super::region_merges::RegionMerges;
-use super::sightings::{CUES, RegionsInView, Sightings};
-use super::tree::NONE;
+use super::sightings::{RegionInView, Sightings};
+use super::tree::{CUES, NONE};
 use crate::coverage::unoccluded;
 use crate::seen_once::ShownCounter;
 use crate::{NeighbourGraph, PosedView, SegmentError};
+use glam::Vec3;
 use rayon::prelude::*;
 use segwild_raster::{Channels, CpuEngine, Frame, FrontLayer, NO_SPLAT, ProjectOptions};
 use segwild_scene::statistics::median;
@@ -47,11 +48,13 @@ const UNSEEN_QUANTILE: f64 = 0.75;
 /// Weight of an edge that no view sees, of 1 (method, section 13). By choice. IoU by half, half more: 0, -.007 on the demo.
 const UNSEEN_WEIGHT: f32 = 0.2;
 
-/// Weights of the photo's boundaries and of depth edges, for each distance (method, section 13): both, the photo alone, the
-/// geometry alone. No one of them is best on all scenes: a print on a wall misleads the first two, a leg on the ground the
-/// last. From docs/experiments/2026-11-28-scene-tree.md. Photo: IoU by half, half more: 0, -.004 on the demo. Geometry: Half
-/// and half more changed no measured click.
-const CUE_WEIGHTS: [[f32; 2]; CUES] = [[0.6, 0.6], [1.0, 0.0], [0.0, 1.0]];
+/// Weight of the photo's boundaries, and of the gap, in the distance by both (method, section 13). From
+/// docs/experiments/2026-11-28-scene-tree.md.
+const CUE_WEIGHT: f32 = 0.6;
+
+/// Gap, in sides of the nearer surface ([`NodeSurface::side`]), that is 1 - 1/e of the largest distance (method, section 13). From
+/// docs/experiments/2026-11-30-gaps.md.
+const GAP_SIDES: f32 = 60.0;
 
 /// Views that see a splat from which on it needs no more of them: the median over so many hardly moves. By choice: no scene on
 /// which the tree was measured has more photos. A click visits no more of a scene's photos either.
@@ -125,7 +128,7 @@ fn merged(mut borders: Vec<FrontBorder>) -> Vec<FrontBorder> {
     borders
 }
 
-/// Collects views. It holds about nine bytes per splat and view that sees it, 20 per pair of neighbouring fronts, and 32 per
+/// Collects views. It holds about five bytes per splat and view that sees it, 20 per pair of neighbouring fronts, and 32 per
 /// splat.
 /// Splats that many views see need no more of them ([`TreeBuilder::needs`]), so that its size does not grow with the
 /// photos of a scene.
@@ -133,8 +136,8 @@ pub struct TreeBuilder<'a> {
     engine: CpuEngine,
     splats: &'a Splats,
     options: ProjectOptions,
-    /// Per view, how its regions merge by each cue.
-    views: Vec<[RegionMerges; CUES]>,
+    /// Per view, how the regions of its photo merge.
+    views: Vec<RegionMerges>,
     /// Per splat, the views that see it, in the order in which they were added.
     sightings: Sightings,
     /// Light in pixels that the views see of each splat.
@@ -156,7 +159,8 @@ pub struct SplatEdge {
     pub a: u32,
     /// The other; larger.
     pub b: u32,
-    /// Per cue, median over the views of the height at which the nodes' regions merge, in [0, 1].
+    /// By both, by the photo, by the gap, in [0, 1]: the second is the median over the views of the height at which the nodes' regions merge, the third the gap
+    /// of their surfaces.
     pub distances: [f32; CUES],
     /// How much it counts: less where no view sees both.
     pub weight: f32,
@@ -177,6 +181,8 @@ pub struct SplatGraph {
     pub edges: Vec<SplatEdge>,
     /// Borders between the nodes' fronts, in order, each pair once.
     pub borders: Vec<FrontBorder>,
+    /// Per node, the surface that the views show of it; `None` where none does.
+    pub(super) surfaces: Vec<Option<NodeSurface>>,
 }
 
 impl<'a> TreeBuilder<'a> {
@@ -272,19 +278,15 @@ impl<'a> TreeBuilder<'a> {
             return;
         };
         let edges = depth_edges(&inverse);
-        let trees: Vec<ContourTree> = CUE_WEIGHTS
-            .par_iter()
-            .map(|weights| ContourTree::of(&combined([(weights[0], photo), (weights[1], &edges)])))
-            .collect();
-        let merges: Option<Vec<RegionMerges>> =
-            trees.iter().map(|tree| RegionMerges::of(&tree.merges)).collect();
-        if let (Some(merges), Ok(number)) = (merges, u16::try_from(self.views.len())) {
+        let regions = ContourTree::of(&bounded(photo));
+        if let (Some(merges), Ok(number)) =
+            (RegionMerges::of(&regions.merges), u16::try_from(self.views.len()))
+        {
             for &i in &seen {
-                let pixel = front.pixels[i as usize] as usize;
-                let regions = std::array::from_fn(|cue| trees[cue].labels[pixel] as u16);
-                self.sightings.add(i as usize, RegionsInView { view: number, regions });
+                let region = regions.labels[front.pixels[i as usize] as usize] as u16;
+                self.sightings.add(i as usize, RegionInView { view: number, region });
             }
-            self.views.extend(merges.try_into());
+            self.views.push(merges);
         }
         for &i in &seen {
             self.light[i as usize] += light[i as usize];
@@ -327,10 +329,10 @@ impl<'a> TreeBuilder<'a> {
         self.borders = merged(borders);
     }
 
-    /// Per node of a graph, the surface that the views show of its splats.
-    pub(super) fn surfaces(&self, graph: &SplatGraph) -> Vec<Option<NodeSurface>> {
-        let mut sums = vec![FrontSums::default(); graph.areas.len()];
-        for (of, &node) in self.surfaces.iter().zip(&graph.node).filter(|(_, node)| **node != NONE) {
+    /// Per node, the surface that the views show of its splats. `node`: that of each splat.
+    fn surfaces(&self, node: &[u32], nodes: usize) -> Vec<Option<NodeSurface>> {
+        let mut sums = vec![FrontSums::default(); nodes];
+        for (of, &node) in self.surfaces.iter().zip(node).filter(|(_, node)| **node != NONE) {
             sums[node as usize] = sums[node as usize].and(*of);
         }
         sums.iter().map(NodeSurface::of).collect()
@@ -366,42 +368,56 @@ impl<'a> TreeBuilder<'a> {
         );
         pairs.sort_unstable();
         pairs.dedup();
-        let edge = |&(a, b): &(u32, u32)| match self.distances(parts[a as usize], parts[b as usize]) {
-            Some(distances) => SplatEdge { a, b, distances, weight: 1.0 },
-            None => SplatEdge { a, b, distances: [0.0; CUES], weight: UNSEEN_WEIGHT },
+        let surfaces = self.surfaces(&node, parts.len());
+        let gap = |&(a, b): &(u32, u32)| {
+            let ends = [a, b].map(|k| k as usize);
+            let side = ends.iter().filter_map(|&k| Some(surfaces[k]?.side)).reduce(f32::min)?;
+            let [from, to] = ends.map(|k| surfaces[k].map_or(Vec3::from(points[k]), |surface| surface.point));
+            Some(1.0 - (-from.distance(to) / (GAP_SIDES * side)).exp())
         };
-        let mut edges: Vec<SplatEdge> = pairs.par_iter().map(edge).collect();
-        drop(pairs);
-        // An edge that no view sees gets its distances when all others are known.
-        const { assert!(UNSEEN_WEIGHT < 1.0) };
-        let is_seen = |edge: &SplatEdge| edge.weight == 1.0;
-        let fill: [f32; CUES] = std::array::from_fn(|cue| {
-            let seen = edges.iter().filter(|edge| is_seen(edge));
-            quantile(seen.map(|edge| edge.distances[cue]).collect(), UNSEEN_QUANTILE)
-        });
-        edges.iter_mut().filter(|edge| !is_seen(edge)).for_each(|edge| edge.distances = fill);
+        let photo = |&(a, b): &(u32, u32)| self.distance(parts[a as usize], parts[b as usize]);
+        let mut gaps: Vec<Option<f32>> = pairs.par_iter().map(gap).collect();
+        let mut photos: Vec<Option<f32>> = pairs.par_iter().map(photo).collect();
+        // An edge that no view sees gets a distance when all others are known.
+        let is_seen: Vec<bool> = photos.iter().map(Option::is_some).collect();
+        for of in [&mut gaps, &mut photos] {
+            let fill = quantile(of.iter().flatten().copied().collect(), UNSEEN_QUANTILE);
+            of.iter_mut().for_each(|distance| *distance = distance.or(Some(fill)));
+        }
+        let edge =
+            |((&(a, b), is_seen), (&photo, &gap)): ((&(u32, u32), &bool), (&Option<f32>, &Option<f32>))| {
+                let (photo, gap) = (photo.unwrap_or_default(), gap.unwrap_or_default());
+                let both = (CUE_WEIGHT * (photo + gap)).min(1.0);
+                SplatEdge {
+                    a,
+                    b,
+                    distances: [both, photo, gap],
+                    weight: if *is_seen { 1.0 } else { UNSEEN_WEIGHT },
+                }
+            };
+        let edges: Vec<SplatEdge> =
+            pairs.iter().zip(&is_seen).zip(photos.iter().zip(&gaps)).map(edge).collect();
+        drop((pairs, gaps, photos));
         let sum = |of: &[f32]| {
             let mut sums = vec![0.0; parts.len()];
             of.iter().zip(&node).filter(|(_, n)| **n != NONE).for_each(|(x, n)| sums[*n as usize] += x);
             sums
         };
         let (areas, void, frame) = (sum(&self.light), sum(&self.void), sum(&self.frame));
-        SplatGraph { areas, void, frame, edges, borders, node }
+        SplatGraph { areas, void, frame, edges, borders, surfaces, node }
     }
 
-    /// Per cue, the median over the views that see both splats of the height at which their regions merge.
-    fn distances(&self, a: u32, b: u32) -> Option<[f32; CUES]> {
-        let mut heights: [Vec<f32>; CUES] = Default::default();
+    /// The median over the views that see both splats of the height at which their regions merge.
+    fn distance(&self, a: u32, b: u32) -> Option<f32> {
+        let mut heights = Vec::new();
         // Both go back through the views.
         let mut others = self.sightings.latest_first(b as usize).peekable();
         for at in self.sightings.latest_first(a as usize) {
             while others.next_if(|other| other.view > at.view).is_some() {}
             let Some(other) = others.next_if(|other| other.view == at.view) else { continue };
-            for (cue, merges) in self.views[usize::from(at.view)].iter().enumerate() {
-                heights[cue].push(merges.height(at.regions[cue], other.regions[cue]));
-            }
+            heights.push(self.views[usize::from(at.view)].height(at.region, other.region));
         }
-        (!heights[0].is_empty()).then(|| heights.map(|of| median(of).expect("each view has all cues")))
+        median(heights)
     }
 }
 

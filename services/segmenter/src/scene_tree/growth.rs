@@ -36,10 +36,9 @@ impl TreeBuilder<'_> {
     /// The trees and the surfaces of the views.
     pub fn grow(self) -> SceneTree {
         let (graph, shown_by) = (self.graph(), self.shown_by());
-        let nodes = self.surfaces(&graph);
         // What was held of each view is most of the memory, and no tree needs it.
         drop(self);
-        let surfaces = graph.surfaces(&nodes);
+        let surfaces = graph.find_surfaces();
         let trees = graph.grow();
         SceneTree { leaf: graph.node, trees, surfaces, shown_by }
     }

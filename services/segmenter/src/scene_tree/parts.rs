@@ -1,8 +1,7 @@
 //! The parts of a scene: groups of the scene tree that do not overlap, without a click.
 
 use super::front_values::front_values;
-use super::query::{MIN_AREA, SCENE_AREA, expected};
-use super::tree::{Growth, TREES};
+use super::query::{MAX_PART_AREA, MIN_AREA, expected};
 use super::{GroupCandidate, GroupTree, NONE, SceneTree};
 use crate::PosedView;
 use crate::seen_once::leave_out_of_parts;
@@ -204,15 +203,16 @@ fn likely(number: usize, tree: &GroupTree) -> impl Iterator<Item = GroupCandidat
         let parent = merges.parent[node] as usize;
         above[node] = if parent == node { own(node) } else { own(node).max(above[parent]) };
     }
-    let average = TREES[number].1 == Growth::Average;
-    (0..n).filter(move |&node| large(node) && tree.groups[node].area <= SCENE_AREA).filter_map(move |node| {
-        let widest = below[node].max(above[node]).max(1e-9);
-        let score = expected(tree, node as u32, gap(node) / widest, average);
-        let area = tree.groups[node].area;
-        (score >= MIN_EXPECTED_IOU).then(|| GroupCandidate {
-            nodes: vec![(number, node as u32)],
-            score,
-            area,
-        })
-    })
+    (0..n).filter(move |&node| large(node) && tree.groups[node].area <= MAX_PART_AREA).filter_map(
+        move |node| {
+            let widest = below[node].max(above[node]).max(1e-9);
+            let score = expected(number, tree, node as u32, gap(node) / widest);
+            let area = tree.groups[node].area;
+            (score >= MIN_EXPECTED_IOU).then(|| GroupCandidate {
+                nodes: vec![(number, node as u32)],
+                score,
+                area,
+            })
+        },
+    )
 }

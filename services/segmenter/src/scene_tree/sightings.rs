@@ -1,10 +1,7 @@
 //! The views that see each splat, and the regions of them in which each is seen.
 
-/// What a distance between splats is measured by.
-pub const CUES: usize = 3;
-
 /// Sightings of a block: with the number of the block before it, 60 bytes.
-const IN_BLOCK: usize = 7;
+const IN_BLOCK: usize = 14;
 
 /// Blocks that are allocated at once: 240 KiB.
 const IN_SLAB: usize = 1 << 12;
@@ -12,23 +9,23 @@ const IN_SLAB: usize = 1 << 12;
 /// Stands for "no block".
 const NO_BLOCK: u32 = u32::MAX;
 
-/// The regions of a view that hold the pixel of a splat's largest share, by each cue.
+/// The region of a view that holds the pixel of a splat's largest share.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct RegionsInView {
+pub(super) struct RegionInView {
     /// Index of the view among those that were added.
     pub view: u16,
-    /// By each cue, the number of the region.
-    pub regions: [u16; CUES],
+    /// The number of the region.
+    pub region: u16,
 }
 
 /// Some sightings of one splat, in the order in which they were added.
 struct SightingBlock {
-    sightings: [RegionsInView; IN_BLOCK],
+    sightings: [RegionInView; IN_BLOCK],
     /// Number of the splat's block before it.
     earlier: u32,
 }
 
-/// Sightings by splat. It holds 8 bytes per splat, and about 9 per sighting where there are many: the blocks of a splat
+/// Sightings by splat. It holds 8 bytes per splat, and about 4.5 per sighting where there are many: the blocks of a splat
 /// are chained, and none is ever copied into a larger array.
 pub(super) struct Sightings {
     /// Per splat, how many there are.
@@ -51,7 +48,7 @@ impl Sightings {
     }
 
     /// Adds one of a splat.
-    pub fn add(&mut self, splat: usize, sighting: RegionsInView) {
+    pub fn add(&mut self, splat: usize, sighting: RegionInView) {
         let at = self.count(splat) % IN_BLOCK;
         if at == 0 {
             self.latest[splat] = self.new_block(self.latest[splat]);
@@ -62,7 +59,7 @@ impl Sightings {
     }
 
     /// Those of a splat, the latest first.
-    pub fn latest_first(&self, splat: usize) -> impl Iterator<Item = RegionsInView> {
+    pub fn latest_first(&self, splat: usize) -> impl Iterator<Item = RegionInView> {
         let (mut left, mut block) = (self.count(splat), self.latest[splat] as usize);
         std::iter::from_fn(move || {
             left = left.checked_sub(1)?;
@@ -81,7 +78,7 @@ impl Sightings {
         }
         let full = (self.slabs.len() - 1) * IN_SLAB;
         let slab = self.slabs.last_mut().expect("one was just made where there was none");
-        slab.push(SightingBlock { sightings: [RegionsInView::default(); IN_BLOCK], earlier });
+        slab.push(SightingBlock { sightings: [RegionInView::default(); IN_BLOCK], earlier });
         // As many blocks as this counts take 240 GiB.
         (full + slab.len() - 1) as u32
     }
@@ -103,9 +100,9 @@ mod tests {
             for splat in 0..splats {
                 // Some splats are seen by all views, and some by none.
                 if random(splats as u64 - 1) < splat as u64 {
-                    let regions = std::array::from_fn(|_| random(1 << 16) as u16);
-                    sightings.add(splat, RegionsInView { view, regions });
-                    lists[splat].push(RegionsInView { view, regions });
+                    let sighting = RegionInView { view, region: random(1 << 16) as u16 };
+                    sightings.add(splat, sighting);
+                    lists[splat].push(sighting);
                 }
             }
         }

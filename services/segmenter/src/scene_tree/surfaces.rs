@@ -76,8 +76,9 @@ impl Plane {
 }
 
 impl SplatGraph {
-    /// The surfaces of the scene, by the surface of each node; `None` where no view shows one. No node belongs to two.
-    pub(super) fn surfaces(&self, nodes: &[Option<NodeSurface>]) -> Vec<SceneSurface> {
+    /// The surfaces of the scene. No node belongs to two.
+    pub(super) fn find_surfaces(&self) -> Vec<SceneSurface> {
+        let nodes = &self.surfaces[..];
         let all: f32 = self.areas.iter().sum();
         let mut free: Vec<bool> = nodes.iter().map(Option::is_some).collect();
         let mut found = Vec::new();

@@ -127,13 +127,21 @@ pub(super) enum Growth {
     Average,
 }
 
-/// The trees, by cue (both, photo, geometry) and growth.
+/// What a distance between splats is measured by: the photo's boundaries and the gap together, the boundaries alone, the gap alone
+/// (method, section 13). No one of them is best on all scenes: a print on a wall misleads the first two, a leg on the ground the
+/// last.
+pub(super) const CUES: usize = 3;
+const BOTH: usize = 0;
+pub(super) const PHOTO: usize = 1;
+pub(super) const GAP: usize = 2;
+
+/// The trees, by cue and growth.
 pub(super) const TREES: [(usize, Growth); 5] = [
-    (0, Growth::Spectral),
-    (1, Growth::Spectral),
-    (2, Growth::Spectral),
-    (0, Growth::Average),
-    (2, Growth::Average),
+    (BOTH, Growth::Spectral),
+    (PHOTO, Growth::Spectral),
+    (GAP, Growth::Spectral),
+    (BOTH, Growth::Average),
+    (GAP, Growth::Average),
 ];
 
 #[cfg(test)]
