@@ -164,6 +164,7 @@ impl SceneTree {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene_tree::tree::TREES;
     use crate::scene_tree::{GroupTree, MergeTree, SplatGroup};
 
     #[test]
