@@ -447,8 +447,9 @@ impl Estimation<'_> {
             return Ok(());
         }
         self.say("most photos do not say their focal length: pairs of them tell it".to_owned());
+        let variables = mapper::thread_variables(&command, self.limits.threads);
         let arguments = command.path("database_path", &self.folder.database()).arguments();
-        match self.child(&[], glomap.program(), &arguments, |_, _| {}) {
+        match self.child(&variables, glomap.program(), &arguments, |_, _| {}) {
             Err(PosesError::Program(failed @ ProgramError::Failed { .. })) => {
                 self.events.warn(Some(STAGE), format!("focal lengths are guesses: {failed}"));
                 Ok(())

@@ -33,7 +33,7 @@ const MIN_SHARE_ON_SURFACE: f32 = 0.5;
 pub enum Alternative {
     /// A group of the scene tree: its share of the light that all photos see.
     Group(f32),
-    /// The surface that the click is on, without what stands there: its share of that light.
+    /// The surface that the click is on, without what stands there: its share of the light that all photos see.
     Surface(f32),
     /// What the clicked photo's own mask holds.
     Photo,
@@ -122,7 +122,7 @@ pub(crate) fn answer(
     let Some(mut hit) = leaf_clicks(request, tree, clicks)? else { return Ok(TreeAnswer::default()) };
     let Some(at) = hit.iter().position(|(_, click)| click.inside) else { return Ok(TreeAnswer::default()) };
     let (prompt, start) = hit.remove(at);
-    let corrections: Vec<LeafClick> = hit.into_iter().map(|(_, click)| click).collect();
+    let mut corrections: Vec<LeafClick> = hit.into_iter().map(|(_, click)| click).collect();
     let granularity = clicks.iter().find_map(|(_, prompts)| prompts.granularity);
     let boundaries = settings.tree_boundaries;
     let mut found = match granularity {
@@ -138,7 +138,11 @@ pub(crate) fn answer(
         _ => false,
     };
     // A surface is a matter of geometry, and has no size to choose.
-    let has_surfaces = granularity.is_none() && boundaries != TreeBoundaries::Photo;
+    let has_surfaces =
+        granularity.is_none() && boundaries != TreeBoundaries::Photo && !segmenter.finds_objects();
+    if !has_surfaces {
+        corrections.iter_mut().for_each(|click| click.surface = None);
+    }
     let surface = start.surface.filter(|_| has_surfaces);
     let all_on_it = corrections.iter().all(|click| click.surface == start.surface);
     // What the photos' frames cut off is no thing on the surface, nor is a piece of it.
@@ -147,8 +151,7 @@ pub(crate) fn answer(
             && tree.share_on(first, &tree.surfaces[surface]) < MIN_SHARE_ON_SURFACE
     };
     let may_be_thing = found.first().zip(surface).is_some_and(|(first, surface)| is_thing(first, surface));
-    let on_surface =
-        surface.is_some() && (all_on_it || !together) && !may_be_thing && !segmenter.finds_objects();
+    let on_surface = surface.is_some() && (all_on_it || !together) && !may_be_thing;
     if is_scene && !corrections.is_empty() && !on_surface {
         // The click alone was answered by its photo: what is corrected is the group most like that.
         let (view, prompts) = &clicks[prompt];
@@ -160,7 +163,9 @@ pub(crate) fn answer(
     if found.is_empty() && surface.is_none() {
         return Ok(TreeAnswer::default());
     }
-    let by_photo = segmenter.finds_objects() || together || is_scene && corrections.is_empty();
+    // On a surface a further click leaves the numbers of the others as they are.
+    let by_photo =
+        segmenter.finds_objects() || together || is_scene && (corrections.is_empty() || on_surface);
     let mut candidates: Vec<Candidate> = found.iter().map(Candidate::Group).collect();
     // Where the scene is first, groups keep their numbers when a further click puts the corrected one before them.
     let photo_at = if by_photo {

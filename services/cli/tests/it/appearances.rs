@@ -80,7 +80,8 @@ fn one_object_has_its_own_appearance_on_screen_and_in_files() {
     let other = manifest.photos.iter().find(|p| !p.test && p.name != view).expect("another");
     let other = other.name.as_str();
     let at = format!("{},{}", click.x, click.y);
-    let segment = ["segment", &run, "--photo", view, "--positive", &at];
+    // What the photo itself shows there: a hall, whatever the scene tree means.
+    let segment = ["segment", &run, "--photo", view, "--positive", &at, "--first-answer", "photo"];
     works(&[&segment[..], &["--name", "thing"]].concat());
     let one = |flags: &[&str]| {
         draw(&run, &out, &[&["--photo", view, "--selection", "thing"], flags].concat()).remove(0)

@@ -51,7 +51,9 @@ fn selected() -> &'static Path {
             copy_folder(&shared_run().run, &run);
             let (_, click) = clearest();
             let at = format!("{},{}", click.x, click.y);
-            let click = ["--photo", &click.photo, "--positive", &at, "--name", "thing"];
+            // What the photo itself shows there: a hall, whatever the scene tree means.
+            let click =
+                ["--photo", &click.photo, "--positive", &at, "--name", "thing", "--first-answer", "photo"];
             works(&[&["segment", &show(&run)][..], &click].concat());
         });
         made.join("run")

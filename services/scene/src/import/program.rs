@@ -141,9 +141,10 @@ fn up_axis(axis: &str, writer: &SplatWriter) -> Option<UpAxis> {
 fn direction(words: &str) -> Option<[f32; 3]> {
     let numbers: Option<Vec<f32>> = words.split_whitespace().map(|word| word.parse().ok()).collect();
     let direction: [f32; 3] = numbers?.try_into().ok()?;
-    let length = direction.iter().map(|v| v * v).sum::<f32>().sqrt();
-    let unit = direction.map(|v| v / length);
-    (length > 0.0 && unit.iter().all(|v| v.is_finite())).then_some(unit)
+    // In f64, in which no f32 squared overflows or vanishes.
+    let direction = direction.map(f64::from);
+    let length = direction.iter().map(|v| v * v).sum::<f64>().sqrt();
+    (length.is_finite() && length > 0.0).then(|| direction.map(|v| (v / length) as f32))
 }
 
 /// The programs whose files name nobody, by the order of their properties.

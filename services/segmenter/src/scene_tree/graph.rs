@@ -128,8 +128,8 @@ fn merged(mut borders: Vec<FrontBorder>) -> Vec<FrontBorder> {
     borders
 }
 
-/// Collects views. It holds about five bytes per splat and view that sees it, 20 per pair of neighbouring fronts, and 32 per
-/// splat.
+/// Collects views. It holds about five bytes per splat and view that sees it, 20 per pair of neighbouring fronts, and about 80
+/// per splat.
 /// Splats that many views see need no more of them ([`TreeBuilder::needs`]), so that its size does not grow with the
 /// photos of a scene.
 pub struct TreeBuilder<'a> {

@@ -1,6 +1,6 @@
 //! Where the surface of each splat lies in the views that show it, and which way it faces (method, section 13).
 
-use glam::{Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use segwild_scene::{Camera, Pose};
 
 /// Pixels on each side over which the slope of a surface is measured. By choice, as for the bend of inverse depth.
@@ -13,7 +13,8 @@ const SIDES: f32 = 320.0;
 /// Sums over the pixels, of all views, whose front a splat is. Splat centres do not do: they lie under the surface, or before it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct FrontSums {
-    point: Vec3,
+    /// A background splat may be the front of a million pixels: in f32 their mean would drift.
+    point: DVec3,
     normal: Vec3,
     /// Sides, at the depth of the surface, in scene units.
     side: f32,
@@ -47,8 +48,11 @@ impl NodeSurface {
     /// The mean of what the views show; `None` where none does.
     pub fn of(sums: &FrontSums) -> Option<NodeSurface> {
         let FrontSums { point, normal, side, pixels } = *sums;
-        let surface =
-            NodeSurface { point: point / pixels, normal: normal.try_normalize(), side: side / pixels };
+        let surface = NodeSurface {
+            point: (point / f64::from(pixels)).as_vec3(),
+            normal: normal.try_normalize(),
+            side: side / pixels,
+        };
         (pixels > 0.0 && surface.side > 0.0 && surface.point.is_finite()).then_some(surface)
     }
 }
@@ -75,7 +79,7 @@ pub(super) fn add_view(sums: &mut [FrontSums], splats: &[u32], depths: &[f32], c
         for x in 0..width {
             let Some(at) = point(x, y) else { continue };
             let sums = &mut sums[splats[y * width + x] as usize];
-            sums.point += to_world * (at - pose.translation);
+            sums.point += (to_world * (at - pose.translation)).as_dvec3();
             sums.normal += normal(x, y, at).map_or(Vec3::ZERO, |normal| to_world * normal);
             sums.side += at.z / camera.fx * width.max(height) as f32 / SIDES;
             sums.pixels += 1.0;

@@ -80,7 +80,7 @@ impl SplatGraph {
     pub(super) fn find_surfaces(&self) -> Vec<SceneSurface> {
         let nodes = &self.surfaces[..];
         let all: f32 = self.areas.iter().sum();
-        let mut free: Vec<bool> = nodes.iter().map(Option::is_some).collect();
+        let mut free = vec![true; nodes.len()];
         let mut found = Vec::new();
         for _ in 0..MOST_PLANES {
             let Some(plane) = self.largest_plane(nodes, &free, MIN_SURFACE_AREA * all) else { break };
@@ -104,8 +104,9 @@ impl SplatGraph {
 
     /// The plane that holds most light of free nodes, fitted to them; `None` where it has less than half of `least`.
     fn largest_plane(&self, nodes: &[Option<NodeSurface>], free: &[bool], least: f32) -> Option<Plane> {
-        let light: Vec<f64> =
-            self.areas.iter().zip(free).map(|(&a, &free)| if free { f64::from(a) } else { 0.0 }).collect();
+        let light: Vec<f64> = (0..nodes.len())
+            .map(|i| if free[i] && nodes[i].is_some() { f64::from(self.areas[i]) } else { 0.0 })
+            .collect();
         let voters: Vec<&NodeSurface> = sampled(&light, VOTERS).filter_map(|i| nodes[i].as_ref()).collect();
         let votes = |plane: &Plane| {
             let on =
@@ -198,7 +199,8 @@ impl SplatGraph {
                     let unseen = nodes[i].is_none();
                     inside[i] && share >= SHARE_OF_MEMBERS
                         || on[i] && share > SHARE_ON_PLANE
-                        || (unseen || within(i, NEAR_BEFORE, NEAR_PAST)) && share > SHARE_NEAR_PLANE
+                        || (unseen && free[i] || within(i, NEAR_BEFORE, NEAR_PAST))
+                            && share > SHARE_NEAR_PLANE
                 })
                 .collect();
         }

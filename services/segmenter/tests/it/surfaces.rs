@@ -5,7 +5,7 @@ use glam::{Vec2, Vec3};
 use segwild_flow::{ActorOptions, Limits, Stopper, System, SystemOptions, mailbox};
 use segwild_raster::{Channels, Rasterizer};
 use segwild_scene::{Image, Mask, Prompts, ReaderError};
-use segwild_segmenter::scene_tree::{SceneTree, TreeBuilder};
+use segwild_segmenter::scene_tree::{LeafClick, SceneTree, TreeBuilder};
 use segwild_segmenter::{
     Alternative, PosedView, SceneGraph, SegmentActor, SegmentReply, SegmentSettings, SegmentTask, Segmented,
 };
@@ -138,10 +138,47 @@ fn click(at: Vec3) -> Prompts {
     Prompts::click(x, y)
 }
 
+const ON_WALL: Vec3 = Vec3::new(0.9, 0.3, 4.0);
+
+#[test]
+fn a_second_click_leaves_the_numbers_of_the_alternatives_as_they_are() {
+    let world = world(2.6);
+    let kinds = |prompts: Prompts| -> Vec<_> {
+        answer(&world, prompts).alternatives.iter().map(std::mem::discriminant).collect()
+    };
+    let mut two = click(ON_WALL);
+    two.points.extend(click(Vec3::new(0.9, -0.5, 4.0)).points);
+    assert_eq!(kinds(click(ON_WALL)), kinds(two.clone()));
+    two.points[1].inside = false;
+    assert_eq!(kinds(click(ON_WALL)), kinds(two));
+}
+
+#[test]
+fn what_came_along_of_a_surface_goes_with_one_click() {
+    let world = world(2.6);
+    let tree = tree(&world, &views(1.0));
+    let wall = tree.leaves_on(&tree.surfaces[0]);
+    let of_block = |leaf: usize| {
+        let splats = tree.leaf.iter().zip(&world.thing).filter(|(l, _)| **l as usize == leaf);
+        splats.clone().any(|(_, thing)| *thing == BLOCK)
+    };
+    // The block, with every seventh leaf of the wall.
+    let selected: Vec<bool> =
+        (0..wall.len()).map(|leaf| of_block(leaf) || wall[leaf] && leaf % 7 == 0).collect();
+    let leaf = (0..wall.len()).find(|&leaf| selected[leaf] && wall[leaf]).expect("one came along") as u32;
+    let negative = LeafClick { leaf, surface: Some(0), inside: false, shown: None };
+    let kept = tree.corrected(selected.clone(), &[negative.clone()]).selected;
+    assert!((0..wall.len()).all(|leaf| kept[leaf] == (selected[leaf] && !wall[leaf])));
+    // One that hits no surface takes its part alone.
+    let alone = LeafClick { surface: None, ..negative };
+    let kept = tree.corrected(selected, &[alone]).selected;
+    assert!(kept.iter().zip(&wall).any(|(kept, wall)| *kept && *wall));
+}
+
 #[test]
 fn a_click_on_the_wall_selects_it_without_the_block_and_one_on_the_block_does_not_take_the_wall() {
     let world = world(2.6);
-    let wall = answer(&world, click(Vec3::new(0.9, 0.3, 4.0)));
+    let wall = answer(&world, click(ON_WALL));
     assert!(matches!(wall.alternatives[0], Alternative::Surface(_)), "{:?}", wall.alternatives);
     let share = |of: &Segmented, thing| world.share(thing, &of.selection.labels);
     assert!(share(&wall, WALL) > 0.9 && share(&wall, BLOCK) < 0.05);

@@ -72,17 +72,17 @@ pub(super) fn find(
     imported: &ImportedSplats,
     explained: &mut dyn FnMut(&Similarity) -> Result<f64, TrainError>,
 ) -> Result<FoundFrame, TrainError> {
-    if imported.rendered {
-        let to = Similarity::IDENTITY;
-        let note = format!("the photos are views of the splats: {}", words(&to, explained(&to)?));
-        return Ok(FoundFrame { to, note });
-    }
     if imported.frame != "auto" {
         let to = match &*imported.frame {
             "poses" => Similarity::IDENTITY,
             file => read_transform(Path::new(file))?,
         };
         let note = format!("the splats lie as --imported-frame says: {}", words(&to, explained(&to)?));
+        return Ok(FoundFrame { to, note });
+    }
+    if imported.rendered {
+        let to = Similarity::IDENTITY;
+        let note = format!("the photos are views of the splats: {}", words(&to, explained(&to)?));
         return Ok(FoundFrame { to, note });
     }
     let own = FrameCandidate::of(Similarity::IDENTITY, "the poses' world");
