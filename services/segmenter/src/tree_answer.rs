@@ -164,8 +164,9 @@ pub(crate) fn answer(
         return Ok(TreeAnswer::default());
     }
     // On a surface a further click leaves the numbers of the others as they are.
-    let by_photo =
-        segmenter.finds_objects() || together || is_scene && (corrections.is_empty() || on_surface);
+    let by_photo = segmenter.finds_objects()
+        || !on_surface && together
+        || is_scene && (corrections.is_empty() || on_surface);
     let mut candidates: Vec<Candidate> = found.iter().map(Candidate::Group).collect();
     // Where the scene is first, groups keep their numbers when a further click puts the corrected one before them.
     let photo_at = if by_photo {
@@ -282,7 +283,9 @@ impl GroupAnswer {
                 true => Some(segmenter.refine(photo, &wide).map_err(failed)?),
                 false => None,
             };
-            let shown = refined.filter(|refined| !refined.mask.is_empty());
+            let shown =
+                refined.map(|refined| if refined.mask.is_empty() { unrefined(&wide) } else { refined });
+            let shown = shown.filter(|shown| !shown.mask.is_empty());
             // A mask that was drawn through several clicks knows the outline better, too, if it means the same.
             masks.push(match shown {
                 Some(shown) if answered == Some(at) || several_inside(&prompt.1) => {
@@ -296,6 +299,16 @@ impl GroupAnswer {
         let shows = prompts.iter().zip(&masks).any(|((_, p), mask)| means(p) && mask.is_some());
         Ok(shows.then_some(GroupAnswer { prior, expected_iou: expected_iou.clamp(0.0, 1.0), masks }))
     }
+}
+
+/// The mask of a group in which a model finds nothing, such as a small one: the pixels that it makes up half as much of as any.
+fn unrefined(share: &Image) -> ScoredMask {
+    let most = share.data.iter().copied().fold(0.0, f32::max);
+    let least = (0.5 * most).max(f32::MIN_POSITIVE);
+    let mask = Mask::from_fn(share.width as u32, share.height as u32, |x, y| {
+        share.at(0, x as usize, y as usize) >= least
+    });
+    ScoredMask { mask, predicted_iou: most.clamp(0.0, 1.0), stability: 0.0 }
 }
 
 /// The share of each pixel of a view that labelled splats make up.

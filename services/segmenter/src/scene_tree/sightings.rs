@@ -90,7 +90,7 @@ mod tests {
 
     #[test]
     fn sightings_are_those_of_a_list_for_each_splat() {
-        let (splats, mut state) = (500, 7u64);
+        let (splats, mut state) = (1000, 7u64);
         let mut random = |below: u64| {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             (state >> 33) % below

@@ -143,14 +143,14 @@ const ON_WALL: Vec3 = Vec3::new(0.9, 0.3, 4.0);
 #[test]
 fn a_second_click_leaves_the_numbers_of_the_alternatives_as_they_are() {
     let world = world(2.6);
-    let kinds = |prompts: Prompts| -> Vec<_> {
+    let types = |prompts: Prompts| -> Vec<_> {
         answer(&world, prompts).alternatives.iter().map(std::mem::discriminant).collect()
     };
     let mut two = click(ON_WALL);
     two.points.extend(click(Vec3::new(0.9, -0.5, 4.0)).points);
-    assert_eq!(kinds(click(ON_WALL)), kinds(two.clone()));
+    assert_eq!(types(click(ON_WALL)), types(two.clone()));
     two.points[1].inside = false;
-    assert_eq!(kinds(click(ON_WALL)), kinds(two));
+    assert_eq!(types(click(ON_WALL)), types(two));
 }
 
 #[test]
@@ -162,9 +162,9 @@ fn what_came_along_of_a_surface_goes_with_one_click() {
         let splats = tree.leaf.iter().zip(&world.thing).filter(|(l, _)| **l as usize == leaf);
         splats.clone().any(|(_, thing)| *thing == BLOCK)
     };
-    // The block, with every seventh leaf of the wall.
+    // The block, with every thirtieth leaf of the wall.
     let selected: Vec<bool> =
-        (0..wall.len()).map(|leaf| of_block(leaf) || wall[leaf] && leaf % 7 == 0).collect();
+        (0..wall.len()).map(|leaf| of_block(leaf) || wall[leaf] && leaf % 30 == 0).collect();
     let leaf = (0..wall.len()).find(|&leaf| selected[leaf] && wall[leaf]).expect("one came along") as u32;
     let negative = LeafClick { leaf, surface: Some(0), inside: false, shown: None };
     let kept = tree.corrected(selected.clone(), &[negative.clone()]).selected;
