@@ -384,19 +384,17 @@ impl<'a> TreeBuilder<'a> {
             let fill = quantile(of.iter().flatten().copied().collect(), UNSEEN_QUANTILE);
             of.iter_mut().for_each(|distance| *distance = distance.or(Some(fill)));
         }
-        let edge =
-            |((&(a, b), is_seen), (&photo, &gap)): ((&(u32, u32), &bool), (&Option<f32>, &Option<f32>))| {
-                let (photo, gap) = (photo.unwrap_or_default(), gap.unwrap_or_default());
-                let both = (CUE_WEIGHT * (photo + gap)).min(1.0);
-                SplatEdge {
-                    a,
-                    b,
-                    distances: [both, photo, gap],
-                    weight: if *is_seen { 1.0 } else { UNSEEN_WEIGHT },
-                }
-            };
-        let edges: Vec<SplatEdge> =
-            pairs.iter().zip(&is_seen).zip(photos.iter().zip(&gaps)).map(edge).collect();
+        let edge = |(i, &(a, b)): (usize, &(u32, u32))| {
+            let (photo, gap) = (photos[i].unwrap_or_default(), gaps[i].unwrap_or_default());
+            let both = (CUE_WEIGHT * (photo + gap)).min(1.0);
+            SplatEdge {
+                a,
+                b,
+                distances: [both, photo, gap],
+                weight: if is_seen[i] { 1.0 } else { UNSEEN_WEIGHT },
+            }
+        };
+        let edges: Vec<SplatEdge> = pairs.iter().enumerate().map(edge).collect();
         drop((pairs, gaps, photos));
         let sum = |of: &[f32]| {
             let mut sums = vec![0.0; parts.len()];
