@@ -283,8 +283,11 @@ impl GroupAnswer {
                 true => Some(segmenter.refine(photo, &wide).map_err(failed)?),
                 false => None,
             };
-            let shown =
-                refined.map(|refined| if refined.mask.is_empty() { unrefined(&wide) } else { refined });
+            // Where there are clicks, their photo answers for a group in which the model finds nothing.
+            let alone = prompt.1.points.is_empty();
+            let drawn =
+                |found: ScoredMask| if alone && found.mask.is_empty() { unrefined(&wide) } else { found };
+            let shown = refined.map(drawn);
             let shown = shown.filter(|shown| !shown.mask.is_empty());
             // A mask that was drawn through several clicks knows the outline better, too, if it means the same.
             masks.push(match shown {
