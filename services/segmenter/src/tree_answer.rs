@@ -285,9 +285,9 @@ impl GroupAnswer {
             };
             // Where there are clicks, their photo answers for a group in which the model finds nothing.
             let alone = prompt.1.points.is_empty();
-            let drawn =
+            let usable =
                 |found: ScoredMask| if alone && found.mask.is_empty() { unrefined(&wide) } else { found };
-            let shown = refined.map(drawn);
+            let shown = refined.map(usable);
             let shown = shown.filter(|shown| !shown.mask.is_empty());
             // A mask that was drawn through several clicks knows the outline better, too, if it means the same.
             masks.push(match shown {
