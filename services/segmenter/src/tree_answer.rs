@@ -102,9 +102,9 @@ fn several_inside(prompts: &Prompts) -> bool {
 }
 
 /// The tree's answer to clicks, with their photos: the first positive click chooses a group, and the others correct it. It chooses
-/// the surface that it is on where the likeliest group is cut off by the photos' frames as a surface is. The photo's own mask comes
-/// first where several clicks are all positive and in one photo, and where the tree answers one click with most of the scene; always
-/// where the model of the masks finds whole objects by itself. `request` needs no prompts.
+/// the surface that it is on where the likeliest group is cut off by the photos' frames as a surface is, or is a piece of it. The
+/// photo's own mask comes first where several clicks are all positive and in one photo, not all on that surface, and where the tree
+/// answers one click with the scene; always where the model of the masks finds whole objects by itself. `request` needs no prompts.
 pub(crate) fn answer(
     request: &Request,
     tree: &SceneTree,
@@ -287,8 +287,7 @@ impl GroupAnswer {
             let alone = prompt.1.points.is_empty();
             let usable =
                 |found: ScoredMask| if alone && found.mask.is_empty() { unrefined(&wide) } else { found };
-            let shown = refined.map(usable);
-            let shown = shown.filter(|shown| !shown.mask.is_empty());
+            let shown = refined.map(usable).filter(|shown| !shown.mask.is_empty());
             // A mask that was drawn through several clicks knows the outline better, too, if it means the same.
             masks.push(match shown {
                 Some(shown) if answered == Some(at) || several_inside(&prompt.1) => {

@@ -140,8 +140,8 @@ impl SceneTree {
     }
 
     /// The part that a click means: of the groups that hold it, no click of the other kind and mostly what is wrong, and of what is
-    /// wrong on the surface that it hits, the one that is likely a thing and has the click in its middle. Where nothing is wrong there, or no group is such a part, the
-    /// smallest group.
+    /// wrong on the surface that it hits, the one that is likely a thing and has the click in its middle. Where nothing is wrong
+    /// there, or nothing is such a part, the smallest group.
     fn part_at(&self, selected: &[bool], click: &LeafClick, clicks: &[LeafClick]) -> Vec<bool> {
         let leaves = selected.len();
         let is_wrong = |leaf: usize| selected[leaf] != click.inside;

@@ -1,7 +1,6 @@
 //! The groups of a scene that a text may describe: its parts, what they are parts of, and what they are made of.
 
 use super::query::{MAX_PART_AREA, MIN_AREA, expected};
-
 use super::{GroupCandidate, NONE, SceneTree};
 use std::collections::HashSet;
 

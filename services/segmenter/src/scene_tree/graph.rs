@@ -1,4 +1,6 @@
 //! The graph of splats whose distances the views vote on.
+//!
+//! "IoU by half, half more" of a constant of the scene tree was measured before splats were compared by their gaps.
 
 use super::boundaries::{bounded, depth_edges};
 use super::node_surface::{self, FrontSums, NodeSurface};
@@ -159,8 +161,8 @@ pub struct SplatEdge {
     pub a: u32,
     /// The other; larger.
     pub b: u32,
-    /// By both, by the photo, by the gap, in [0, 1]: the second is the median over the views of the height at which the nodes' regions merge, the third the gap
-    /// of their surfaces.
+    /// By both, by the photo, by the gap, in [0, 1]: the second is the median over the views of the height at which the nodes'
+    /// regions merge, the third the gap of their surfaces.
     pub distances: [f32; CUES],
     /// How much it counts: less where no view sees both.
     pub weight: f32,

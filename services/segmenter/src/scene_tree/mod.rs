@@ -2,9 +2,10 @@
 //!
 //! Each view is added with its boundary map ([`TreeBuilder::add`]), unless enough others see what it sees. The map is a model's, or
 //! made of the outlines of automatic masks ([`mask_outlines()`]). Two splats are as far apart as the median, over the views that see
-//! both, of the height at which their pixels' regions merge; there are three such distances, by the photos' boundaries, by the
-//! geometry and by both. Trees are grown from each ([`TreeBuilder::grow`]): by average linkage, and by distances in the eigenvectors
-//! of the whole graph. Clicks choose a group from all trees ([`SceneTree::candidates`]).
+//! both, of the height at which their pixels' regions merge, as the gap of their surfaces in 3D, or as both together. Trees are grown
+//! from each of these distances ([`TreeBuilder::grow`]): by average linkage, and by distances in the eigenvectors of the whole graph.
+//! Surfaces that run on under what stands there are found by their shape ([`SceneSurface`]). Clicks choose a group from all trees
+//! ([`SceneTree::candidates`]), or a surface ([`SceneTree::surface_at`]).
 
 mod boundaries;
 mod corrections;
