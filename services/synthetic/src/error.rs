@@ -17,7 +17,7 @@ pub enum SyntheticError {
         index: usize,
     },
     /// Who follows the writing stopped it.
-    #[error("stopped after {written} of {photos} photos; the same command writes all of them again")]
+    #[error("stopped after {written} of {photos} photos; the same command goes on from there")]
     Stopped {
         /// Photos that were written.
         written: usize,

@@ -97,7 +97,8 @@ impl SyntheticPlan {
     }
 
     /// Writes the files that [`SyntheticScene::write`] writes, photo by photo: each is taken while the one before it is written,
-    /// and no third one is in memory. `report` receives how many are written after each, and may stop the rest.
+    /// and no third one is in memory. `report` receives how many are written after each, and may stop the rest. A folder in which
+    /// the same set was stopped goes on after its last photo.
     ///
     /// # Errors
     /// When a file cannot be written, or `report` stops it. The reconstruction and `truth.json` are written last: what was stopped
@@ -107,22 +108,20 @@ impl SyntheticPlan {
         dir: &Path,
         mut report: impl FnMut(usize) -> ControlFlow<()>,
     ) -> Result<Manifest, SyntheticError> {
-        let mut writer = SetWriter::new(dir, &self.options, &self.world.instances)?;
+        let records: Vec<PhotoRecord> = self.planned.iter().map(|p| p.record.clone()).collect();
+        let mut writer = SetWriter::new(dir, &self.options, &self.world.instances, &records)?;
         let count = self.photo_count();
-        let mut next = Some(self.photo(0));
-        let mut done = 0;
+        let take = |index: usize| (index < count).then(|| self.photo(index));
+        let mut next = take(writer.written());
         while let Some(photo) = next.take() {
-            done += 1;
-            let index = done;
-            let take = || (index < count).then(|| self.photo(index));
-            let (written, taken) = rayon::join(|| writer.add(&photo), take);
+            let done = writer.written() + 1;
+            let (written, taken) = rayon::join(|| writer.add(&photo), || take(done));
             written?;
             if report(done).is_break() && done < count {
                 return Err(SyntheticError::Stopped { written: done, photos: count });
             }
             next = taken;
         }
-        let records: Vec<PhotoRecord> = self.planned.iter().map(|p| p.record.clone()).collect();
-        writer.finish(&self.options, &self.world.parts, &records, &self.points)
+        writer.finish(&self.world.parts, &self.points)
     }
 }

@@ -40,7 +40,7 @@ impl PlannedPhoto {
         let share = if test { 0.0 } else { options.occlusion * rng.range(0.88, 1.12) };
         let crowd = Crowd::random(&mut rng, share, shot.camera.width, shot.camera.height);
         let record = PhotoRecord {
-            name: format!("photo_{index:03}.png"),
+            name: photo_name(index),
             camera: shot.camera,
             pose: Pose { translation: shot.pose.translation * options.units as f32, ..shot.pose },
             translation: shot.pose.translation.as_dvec3() * options.units,
@@ -82,6 +82,11 @@ impl PlannedPhoto {
         let pixel = [position.x as usize, position.y as usize];
         colour_at(world, &self.shot, &self.photo_light, &self.crowd, pixel)
     }
+}
+
+/// File name of photo `index` of a set.
+pub fn photo_name(index: usize) -> String {
+    format!("photo_{index:03}.png")
 }
 
 /// Samples a photo's appearance.

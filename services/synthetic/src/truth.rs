@@ -69,6 +69,7 @@ pub const CLICKS: usize = 6;
 const UNCOVERED: f32 = 0.9;
 
 /// Collects [`Manifest`] photo by photo.
+#[derive(Serialize, Deserialize)]
 pub struct TruthBuilder {
     instances: Vec<Instance>,
     photos: Vec<PhotoTruth>,
@@ -81,6 +82,16 @@ impl TruthBuilder {
     pub fn new(instances: &[Instance]) -> TruthBuilder {
         let rankings = instances.iter().skip(1).map(|_| ClickRanking::default()).collect();
         TruthBuilder { instances: instances.to_vec(), photos: Vec::new(), rankings }
+    }
+
+    /// The instances of the set.
+    pub fn instances(&self) -> &[Instance] {
+        &self.instances
+    }
+
+    /// Names of the photos that were added, in order.
+    pub fn photo_names(&self) -> impl ExactSizeIterator<Item = &str> {
+        self.photos.iter().map(|photo| photo.name.as_str())
     }
 
     /// Adds the next photo.
@@ -169,7 +180,7 @@ fn shown_instance(photo: &SyntheticPhoto, instance: u16) -> Option<ShownInstance
 
 /// The best clicks on an instance among the photos so far, at most [`CLICKS`]; with each whether its photo shows the instance
 /// well.
-#[derive(Default)]
+#[derive(Default, Serialize, Deserialize)]
 struct ClickRanking(Vec<(bool, Click)>);
 
 impl ClickRanking {

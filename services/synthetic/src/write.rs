@@ -3,6 +3,7 @@
 use crate::error::SyntheticError;
 use crate::options::SyntheticOptions;
 use crate::photo::{PhotoRecord, SyntheticPhoto};
+use crate::planned::photo_name;
 use crate::points::SyntheticPoint;
 use crate::scene::SyntheticScene;
 use crate::truth::{Manifest, TruthBuilder};
@@ -15,6 +16,7 @@ use segwild_scene::colmap::{
     self, CameraModel, CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction,
 };
 use segwild_scene::{Image, SceneError};
+use serde::de::DeserializeOwned;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
@@ -23,6 +25,10 @@ const KINDS: [&str; 5] = ["clean", "sky", "transient", "instance", "part"];
 
 /// The folder in `truth` with the depth of each photo.
 const DEPTH: &str = "depth";
+
+/// The set of a folder whose writing was stopped: its options, and the truth of the photos that are there. Not there once the set is
+/// whole.
+const UNFINISHED: &str = "truth/unfinished.json";
 
 /// Most bytes of a manifest. One of 4000 photos, the most that a set has, takes less than 1 MiB.
 const MOST_MANIFEST: u64 = 64 << 20;
@@ -42,11 +48,12 @@ impl SyntheticScene {
     /// - `truth/clean`, `truth/sky`, `truth/transient`, `truth/instance` and `truth/part` (8-bit ids), `truth/depth`
     ///   (`.pfm`, file units, 0 = sky).
     pub fn write(&self, dir: &Path) -> Result<Manifest, SyntheticError> {
-        let mut writer = SetWriter::new(dir, &self.options, &self.instances)?;
-        for photo in &self.photos {
+        let records = self.records();
+        let mut writer = SetWriter::new(dir, &self.options, &self.instances, &records)?;
+        for photo in &self.photos[writer.written()..] {
             writer.add(photo)?;
         }
-        writer.finish(&self.options, &self.parts, &self.records(), &self.points)
+        writer.finish(&self.parts, &self.points)
     }
 
     /// The scene as COLMAP's records.
@@ -62,20 +69,24 @@ impl SyntheticScene {
 /// Writes a set photo by photo, and keeps no pixels of what is written.
 pub struct SetWriter<'a> {
     dir: &'a Path,
+    options: &'a SyntheticOptions,
+    photos: &'a [PhotoRecord],
     /// Ids and names of the instances with masks.
     objects: Vec<(u16, String)>,
     truth: TruthBuilder,
 }
 
 impl<'a> SetWriter<'a> {
-    /// Makes the folders of a set. Another set that the folder holds is removed: photos that stayed of it would be taken for photos
-    /// of this one.
+    /// Makes the folders of a set of these photos. What a stopped writer of the same set wrote stays, and counts as written. Another
+    /// set that the folder holds is removed: photos that stayed of it would be taken for photos of this one.
     pub fn new(
         dir: &'a Path,
-        options: &SyntheticOptions,
+        options: &'a SyntheticOptions,
         instances: &[Instance],
+        photos: &'a [PhotoRecord],
     ) -> Result<SetWriter<'a>, SyntheticError> {
         forget_other_set(dir, options)?;
+        let truth = unfinished_set(dir, options, instances, photos)?;
         let objects: Vec<(u16, String)> =
             (0..).zip(instances).skip(1).map(|(id, instance)| (id, instance.name.clone())).collect();
         let kinds = KINDS.into_iter().chain([DEPTH]).chain(objects.iter().map(|(_, name)| name.as_str()));
@@ -83,51 +94,86 @@ impl<'a> SetWriter<'a> {
             let failed = |e| SceneError::from(FileError::new("create the folder", &folder, e));
             std::fs::create_dir_all(&folder).map_err(failed)?;
         }
-        Ok(SetWriter { dir, objects, truth: TruthBuilder::new(instances) })
+        let truth = truth.unwrap_or_else(|| TruthBuilder::new(instances));
+        Ok(SetWriter { dir, options, photos, objects, truth })
+    }
+
+    /// Number of photos that are written: the first ones of the set.
+    pub fn written(&self) -> usize {
+        self.truth.photo_names().len()
     }
 
     /// Writes the files of the next photo, several at a time.
     pub fn add(&mut self, photo: &SyntheticPhoto) -> Result<(), SyntheticError> {
-        let SetWriter { dir, objects, truth } = self;
+        let SetWriter { dir, objects, truth, .. } = self;
         let (written, ()) = rayon::join(|| write_photo(dir, objects, photo), || truth.add(photo));
-        Ok(written?)
+        written?;
+        let path = self.dir.join(UNFINISHED);
+        let text = serde_json::to_vec(&(self.options, &self.truth))
+            .map_err(|e| SceneError::invalid(&path, "manifest", e.to_string()))?;
+        Ok(write_atomic(&path, &text).map_err(SceneError::from)?)
     }
 
-    /// Writes what the set has besides its photos: those that were added, in the same order.
-    pub fn finish(
-        self,
-        options: &SyntheticOptions,
-        parts: &[WorldPart],
-        photos: &[PhotoRecord],
-        points: &[SyntheticPoint],
-    ) -> Result<Manifest, SyntheticError> {
-        colmap::write(&self.dir.join("sparse/0"), &reconstruction(photos, points))?;
-        write_atomic(&self.dir.join("split.tsv"), split(photos).as_bytes()).map_err(SceneError::from)?;
-        let manifest = self.truth.manifest(options, parts);
+    /// Writes what the set has besides its photos, all of which are written.
+    pub fn finish(self, parts: &[WorldPart], points: &[SyntheticPoint]) -> Result<Manifest, SyntheticError> {
+        colmap::write(&self.dir.join("sparse/0"), &reconstruction(self.photos, points))?;
+        write_atomic(&self.dir.join("split.tsv"), split(self.photos).as_bytes()).map_err(SceneError::from)?;
+        let manifest = self.truth.manifest(self.options, parts);
         let path = self.dir.join("truth.json");
         let text = serde_json::to_string_pretty(&manifest)
             .map_err(|e| SceneError::invalid(&path, "manifest", e.to_string()))?;
         write_atomic(&path, (text + "\n").as_bytes()).map_err(SceneError::from)?;
+        remove(&self.dir.join(UNFINISHED))?;
         Ok(manifest)
     }
 }
 
-/// Removes another set: its reconstruction, the photos and masks that its manifest lists, and the manifest. The same set stays: it
-/// is written again as it is.
+/// Removes another set. The same set stays: it is written again as it is.
 fn forget_other_set(dir: &Path, options: &SyntheticOptions) -> Result<(), SceneError> {
     let path = dir.join("truth.json");
-    let Some(held) = held_set(&path)?.filter(|held| held.options != *options) else { return Ok(()) };
-    check_listed(&path, &held)?;
-    // The manifest last: it names the rest to whoever is stopped before.
+    match held_set::<Manifest>(&path)? {
+        Some(held) if held.options != *options => forget(dir, &path, &held),
+        _ => Ok(()),
+    }
+}
+
+/// The truth of the photos that a stopped writer of the same set wrote. What it wrote of another set is removed.
+fn unfinished_set(
+    dir: &Path,
+    options: &SyntheticOptions,
+    instances: &[Instance],
+    photos: &[PhotoRecord],
+) -> Result<Option<TruthBuilder>, SceneError> {
+    let path = dir.join(UNFINISHED);
+    let Some((held_options, truth)) = held_set::<(SyntheticOptions, TruthBuilder)>(&path)? else {
+        return Ok(None);
+    };
+    let is_there =
+        |(name, photo): (&str, &PhotoRecord)| name == photo.name && dir.join("images").join(name).is_file();
+    let is_same = held_options == *options && truth.instances() == instances;
+    if is_same && truth.photo_names().len() <= photos.len() && truth.photo_names().zip(photos).all(is_there) {
+        return Ok(Some(truth));
+    }
+    forget(dir, &path, &truth.manifest(&held_options, &[]))?;
+    Ok(None)
+}
+
+/// Removes a set: its reconstruction, the photos and masks that its manifest at `path` lists, and the manifest.
+fn forget(dir: &Path, path: &Path, held: &Manifest) -> Result<(), SceneError> {
+    check_listed(path, held)?;
     for name in ["sparse/0/cameras.bin", "sparse/0/images.bin", "sparse/0/points3D.bin", "split.tsv"] {
         remove(&dir.join(name))?;
     }
-    listed_files(&held).try_for_each(|name| remove(&dir.join(name)))?;
-    remove(&path)
+    // Of the photo after the last, a writer that was stopped may have left some files.
+    let next = photo_name(held.photos.len());
+    let names = held.photos.iter().map(|photo| photo.name.as_str()).chain([next.as_str()]);
+    names.flat_map(|name| files_of(name, held)).try_for_each(|file| remove(&dir.join(file)))?;
+    // The manifest last: it names the rest to whoever is stopped before.
+    remove(path)
 }
 
-/// The manifest of the set that a folder holds; `None` where there is none.
-fn held_set(path: &Path) -> Result<Option<Manifest>, SceneError> {
+/// What a file says of the set that its folder holds; `None` where there is none.
+fn held_set<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, SceneError> {
     let text = match read_within(path, MOST_MANIFEST) {
         Ok(text) => text,
         Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => return Ok(None),
@@ -161,14 +207,12 @@ fn check_listed(path: &Path, held: &Manifest) -> Result<(), SceneError> {
     }
 }
 
-/// The photos of a set and their truth, as paths within its folder.
-fn listed_files(held: &Manifest) -> impl Iterator<Item = PathBuf> + '_ {
-    held.photos.iter().flat_map(move |photo| {
-        let objects = held.objects.iter().map(|object| object.name.as_str());
-        let kinds = KINDS.into_iter().chain(objects);
-        let images = kinds.map(move |kind| Path::new("truth").join(kind).join(&photo.name));
-        images.chain([Path::new("images").join(&photo.name), depth_file(&photo.name)])
-    })
+/// A photo of a set and its truth, as paths within the set's folder.
+fn files_of<'a>(photo: &'a str, held: &'a Manifest) -> impl Iterator<Item = PathBuf> + 'a {
+    let objects = held.objects.iter().map(|object| object.name.as_str());
+    let kinds = KINDS.into_iter().chain(objects);
+    let images = kinds.map(move |kind| Path::new("truth").join(kind).join(photo));
+    images.chain([Path::new("images").join(photo), depth_file(photo)])
 }
 
 /// Removes a file, if it is there.

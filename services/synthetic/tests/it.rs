@@ -104,10 +104,48 @@ fn a_set_that_is_stopped_leaves_no_scene_of_another_one() {
     let stopped = plan.write(dir.path(), stop);
     assert!(matches!(stopped, Err(SyntheticError::Stopped { written: 2, photos: 5 })), "{stopped:?}");
     assert!(!dir.path().join("truth.json").exists() && !dir.path().join("sparse/0/images.bin").exists());
-    plan.write(dir.path(), |_| ControlFlow::Continue(())).unwrap();
+    let mut counts = Vec::new();
+    let report = |count: usize| {
+        counts.push(count);
+        ControlFlow::Continue(())
+    };
+    plan.write(dir.path(), report).unwrap();
+    assert_eq!(counts, [3, 4, 5], "photos that were written are not taken again");
     let whole = tempfile::tempdir().unwrap();
     generate(&other).unwrap().write(whole.path()).unwrap();
     assert!(files(dir.path()) == files(whole.path()));
+}
+
+#[test]
+fn a_set_that_was_stopped_and_is_another_or_lost_a_photo_is_written_from_the_start() {
+    let dir = tempfile::tempdir().unwrap();
+    let (stopped, other) = (SyntheticOptions { train: 6, ..few() }, few());
+    let stop = |count: usize| if count == 6 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+    let written = |options: &SyntheticOptions| SyntheticPlan::new(options).unwrap().write(dir.path(), stop);
+    let starts_over = |options: &SyntheticOptions| {
+        let mut counts = Vec::new();
+        let report = |count: usize| {
+            counts.push(count);
+            ControlFlow::Continue(())
+        };
+        SyntheticPlan::new(options).unwrap().write(dir.path(), report).unwrap();
+        let whole = tempfile::tempdir().unwrap();
+        generate(options).unwrap().write(whole.path()).unwrap();
+        assert!(files(dir.path()) == files(whole.path()));
+        counts[0] == 1
+    };
+    assert!(written(&stopped).is_err());
+    // What was being written of the photo after the last.
+    std::fs::write(dir.path().join("truth/clean/photo_006.png"), "half of a file").unwrap();
+    assert!(starts_over(&other));
+    assert!(written(&stopped).is_err());
+    std::fs::remove_file(dir.path().join("images/photo_002.png")).unwrap();
+    assert!(starts_over(&stopped));
+    assert!(written(&stopped).is_err());
+    assert!(!starts_over(&stopped));
+    std::fs::write(dir.path().join("truth/unfinished.json"), "[]").unwrap();
+    let refused = written(&other).unwrap_err().to_string();
+    assert!(refused.contains("unfinished.json") && refused.contains("does not name the set"), "{refused}");
 }
 
 #[test]

@@ -174,26 +174,30 @@ fn write_photos(options: &SyntheticOptions, dir: &Path, json: bool) -> Result<Ma
     let sink = show(&events, json)?;
     let plan = SyntheticPlan::new(options)?;
     let mut stage = events.stage("photos", Some(plan.photo_count() as u64));
-    let manifest = write_until(&plan, dir, &stopper, || stage.advance(1))?;
+    let mut shown = 0;
+    let manifest = write_until(&plan, dir, &stopper, |written| {
+        stage.advance(written as u64 - shown);
+        shown = written as u64;
+    })?;
     stage.finish();
     drop(sink); // everything that happened is shown before the last word
     Ok(manifest)
 }
 
-/// Writes a set until it is stopped; `written` is called after each photo. The folder stays as it is where it was stopped before:
+/// Writes a set until it is stopped; after each photo `report` receives how many there are. The folder stays as it is where it was stopped before:
 /// it may hold another set, which [`SyntheticPlan::write`] removes.
 fn write_until(
     plan: &SyntheticPlan,
     dir: &Path,
     stopper: &Stopper,
-    mut written: impl FnMut(),
+    mut report: impl FnMut(usize),
 ) -> Result<Manifest, SyntheticError> {
     let running = || stopper.phase() == Phase::Running;
     if !running() {
         return Err(SyntheticError::Stopped { written: 0, photos: plan.photo_count() });
     }
-    plan.write(dir, |_| {
-        written();
+    plan.write(dir, |written| {
+        report(written);
         if running() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
     })
 }
@@ -279,10 +283,11 @@ mod tests {
         let dir = tempfile::tempdir().expect("a folder");
         let stopper = Stopper::new();
         let mut count = 0;
-        let old = write_until(&of(1), dir.path(), &stopper, || count += 1).expect("it is written");
+        let old =
+            write_until(&of(1), dir.path(), &stopper, |written| count = written).expect("it is written");
         assert_eq!((count, old.photos.len()), (2, 2));
         stopper.stop();
-        let stopped = write_until(&of(2), dir.path(), &stopper, || count += 1);
+        let stopped = write_until(&of(2), dir.path(), &stopper, |written| count = written);
         assert!(matches!(stopped, Err(SyntheticError::Stopped { written: 0, photos: 2 })), "{stopped:?}");
         let held = std::fs::read(dir.path().join("truth.json")).expect("the manifest stays");
         assert_eq!(serde_json::from_slice::<Manifest>(&held).expect("a manifest"), old);
