@@ -190,6 +190,7 @@ impl SegmentActor {
                     photos: &photos,
                     segmenter: &*self.segmenter,
                     answered: None,
+                    own_masks: &[],
                 };
                 let leaves = CorrectedLeaves::uncorrected(tree.leaves_of(meant));
                 let outlined = tree_answer::GroupAnswer::of(&blank, tree, &leaves, meant.score, &photos_of)?;
@@ -220,8 +221,8 @@ impl SegmentActor {
                 .zip(&group.masks)
                 .filter_map(|((view, prompts), mask)| {
                     let mask = &mask.as_ref()?.mask;
-                    let points = &prompts.points;
-                    Some(PromptedView { view: *view, mask, open: None, refused: false, points, boxes: &[] })
+                    let Prompts { points, boxes, .. } = prompts;
+                    Some(PromptedView { view: *view, mask, open: None, refused: false, points, boxes })
                 })
                 .collect(),
             None => task

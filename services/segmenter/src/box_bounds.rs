@@ -79,6 +79,17 @@ fn margin(b: &BoxPrompt) -> f32 {
     (BOX_MARGIN * (b.x1 - b.x0).abs().max((b.y1 - b.y0).abs())).max(MIN_MARGIN)
 }
 
+/// A box with its margin, its corners in order.
+pub(crate) fn with_margin(b: &BoxPrompt) -> BoxPrompt {
+    widened(b, margin(b))
+}
+
+/// A box widened on each side by a margin, its corners in order.
+pub(crate) fn widened(b: &BoxPrompt, margin: f32) -> BoxPrompt {
+    let (low, high) = (|a: f32, b: f32| a.min(b) - margin, |a: f32, b: f32| a.max(b) + margin);
+    BoxPrompt { x0: low(b.x0, b.x1), y0: low(b.y0, b.y1), x1: high(b.x0, b.x1), y1: high(b.y0, b.y1) }
+}
+
 /// A box with its margin, whose sides at the photo's frame are moved to infinity: the object may go on there.
 fn open_at_frame(b: &BoxPrompt, photo: &Camera) -> BoxPrompt {
     let (w, h) = (photo.width as f32, photo.height as f32);
@@ -116,8 +127,8 @@ fn bounds(prompt: &PromptedView) -> bool {
 
 /// Whether a box, widened on each side by a margin, holds a position; all in pixels of one photo.
 fn holds(b: &BoxPrompt, margin: f32, x: f32, y: f32) -> bool {
-    let wide = |a: f32, b: f32| a.min(b) - margin..=a.max(b) + margin;
-    wide(b.x0, b.x1).contains(&x) && wide(b.y0, b.y1).contains(&y)
+    let wide = widened(b, margin);
+    (wide.x0..=wide.x1).contains(&x) && (wide.y0..=wide.y1).contains(&y)
 }
 
 /// Per splat, its visible light within and outside of the boxes and the photo's own mask, without what a transient occludes.

@@ -1,8 +1,8 @@
 //! The first answer to clicks by the scene tree (method, section 13).
 
 use crate::scene_tree::{
-    CorrectedLeaves, GroupCandidate, LeafClick, MIN_SURFACE_FRAME, NONE, SCENE_AREA, SURFACE_IOU,
-    SceneSurface, SceneTree, ShownLeaves,
+    BoxedGroups, BoxedLeaves, CorrectedLeaves, GroupCandidate, LeafClick, LeafMap, MIN_SURFACE_FRAME, NONE,
+    SCENE_AREA, SURFACE_IOU, SceneSurface, SceneTree, ShownLeaves,
 };
 use crate::select::hits;
 use crate::{
@@ -21,7 +21,7 @@ const TREE_VOTE: f32 = 1.0;
 /// The same on the splats of a part that a click added or took out: so many photos do not outvote a person.
 const CORRECTION_VOTE: f32 = 16.0;
 
-/// IoU of a group with the own mask of a photo with several positive clicks from which both mean the same. By choice.
+/// IoU of a group with the own mask of a photo with a box or several positive clicks from which both mean the same. By choice.
 const MIN_AGREEMENT: f64 = 0.5;
 
 /// Share of a group's light on a surface from which the group is a piece of it (method, section 13). By choice.
@@ -89,11 +89,8 @@ pub(crate) struct OutlinedPhotos<'a> {
     pub segmenter: &'a dyn PromptSegmenter,
     /// The one whose own mask answered the first click, by number: that mask is kept where it agrees with the group.
     pub answered: Option<usize>,
-}
-
-/// Whether all prompts are clicks.
-fn only_clicks(prompts: &Prompts) -> bool {
-    prompts.boxes.is_empty() && !prompts.points.is_empty()
+    /// Their own masks, as far as they are known and to be kept where they agree with the group; may be shorter.
+    pub own_masks: &'a [Option<ScoredMask>],
 }
 
 /// Whether a photo has several positive clicks.
@@ -101,10 +98,10 @@ fn several_inside(prompts: &Prompts) -> bool {
     prompts.points.iter().filter(|point| point.inside).count() > 1
 }
 
-/// The tree's answer to clicks, with their photos: the first positive click chooses a group, and the others correct it. It chooses
+/// The tree's answer to prompts, with their photos. `request` needs none. Of clicks the first positive click chooses a group, and the others correct it. It chooses
 /// the surface that it is on where the likeliest group is cut off by the photos' frames as a surface is, or is a piece of it. The
 /// photo's own mask comes first where several clicks are all positive and in one photo, not all on that surface, and where the tree
-/// answers one click with the scene; always where the model of the masks finds whole objects by itself. `request` needs no prompts.
+/// answers one click with the scene; always where the model of the masks finds whole objects by itself.
 pub(crate) fn answer(
     request: &Request,
     tree: &SceneTree,
@@ -113,11 +110,11 @@ pub(crate) fn answer(
     segmenter: &dyn PromptSegmenter,
 ) -> Result<TreeAnswer, SegmentError> {
     let settings = request.settings;
-    if settings.first_answer != FirstAnswer::Tree
-        || tree.leaf.len() != request.splats.len()
-        || !clicks.iter().all(|(_, prompts)| only_clicks(prompts))
-    {
+    if settings.first_answer != FirstAnswer::Tree || tree.leaf.len() != request.splats.len() {
         return Ok(TreeAnswer::default());
+    }
+    if clicks.iter().any(|(_, prompts)| !prompts.boxes.is_empty()) {
+        return answer_to_boxes(request, tree, clicks, photos, segmenter);
     }
     let Some(mut hit) = leaf_clicks(request, tree, clicks)? else { return Ok(TreeAnswer::default()) };
     let Some(at) = hit.iter().position(|(_, click)| click.inside) else { return Ok(TreeAnswer::default()) };
@@ -180,23 +177,71 @@ pub(crate) fn answer(
     if let Some(surface) = surface {
         candidates.insert(usize::from(!on_surface), Candidate::Surface(&tree.surfaces[surface]));
     }
+    let answered = (is_scene && !on_surface).then_some(prompt);
+    let outlined = OutlinedPhotos { clicks, photos, segmenter, answered, own_masks: &[] };
+    answer_by(request, tree, &candidates, &corrections, &outlined)
+}
+
+/// The tree's answer to boxes, with their photos: the group that they are drawn around, corrected by the clicks. The photos' own
+/// masks come first where no group fits all boxes, and where the model of the masks finds whole objects by itself.
+fn answer_to_boxes(
+    request: &Request,
+    tree: &SceneTree,
+    prompted: &[(usize, Prompts)],
+    photos: &[Image],
+    segmenter: &dyn PromptSegmenter,
+) -> Result<TreeAnswer, SegmentError> {
+    let (engine, leaves) = (CpuEngine::new(), tree.trees.first().map_or(0, |tree| tree.merges.leaves));
+    let (mut boxes, mut own_masks) = (Vec::new(), vec![None; prompted.len()]);
+    for ((prompt, photo), own) in prompted.iter().zip(photos).zip(&mut own_masks) {
+        let (view, Prompts { boxes: in_photo, .. }) = prompt;
+        let around = match in_photo.as_slice() {
+            [] => continue,
+            [around] => around,
+            // Several things, or parts of one: the photo's own mask holds all of them.
+            _ => return Ok(TreeAnswer::default()),
+        };
+        let posed = &request.views[*view];
+        let map = LeafMap::render(&engine, request.splats, &request.options, posed, tree)
+            .map_err(SegmentError::raster(&posed.name))?;
+        let own = own.insert(own_mask(request, prompt, photo, segmenter)?);
+        boxes.push(BoxedLeaves::of(&map, leaves, around, &posed.camera, &own.mask));
+    }
+    let Some(hit) = leaf_clicks(request, tree, prompted)? else { return Ok(TreeAnswer::default()) };
+    // A part that a click adds to a thing, or takes out of it, is no surface.
+    let corrections: Vec<LeafClick> =
+        hit.into_iter().map(|(_, click)| LeafClick { surface: None, ..click }).collect();
+    let BoxedGroups { groups, fits } = tree.groups_in_boxes(&boxes, request.settings.tree_boundaries);
+    let mut candidates: Vec<Candidate> = groups.iter().map(Candidate::Group).collect();
+    candidates.insert(usize::from(fits && !segmenter.finds_objects()), Candidate::Photo);
+    let outlined =
+        OutlinedPhotos { clicks: prompted, photos, segmenter, answered: None, own_masks: &own_masks };
+    answer_by(request, tree, &candidates, &corrections, &outlined)
+}
+
+/// The answer by the candidate that the settings choose, corrected by clicks.
+fn answer_by(
+    request: &Request,
+    tree: &SceneTree,
+    candidates: &[Candidate],
+    corrections: &[LeafClick],
+    outlined: &OutlinedPhotos,
+) -> Result<TreeAnswer, SegmentError> {
     let named = |candidate: &Candidate| match candidate {
         Candidate::Group(group) => Alternative::Group(group.area),
         Candidate::Surface(surface) => Alternative::Surface(surface.area),
         Candidate::Photo => Alternative::Photo,
     };
     let alternatives = candidates.iter().map(named).collect();
-    let chosen_at = (candidates.len() - 1).min(settings.alternative as usize);
+    let chosen_at = (candidates.len() - 1).min(request.settings.alternative as usize);
     let mut others = candidates.iter().enumerate().filter(|(at, _)| *at != chosen_at);
-    let corrected = |leaves| tree.corrected(leaves, &corrections);
+    let corrected = |leaves| tree.corrected(leaves, corrections);
     let other =
         others.find_map(|(_, other)| other.leaves(tree)).map(|(leaves, _)| corrected(leaves).selected);
     let Some((leaves, expected_iou)) = candidates[chosen_at].leaves(tree) else {
         return Ok(TreeAnswer { group: None, alternatives, other });
     };
-    let answered = (is_scene && !on_surface).then_some(prompt);
-    let outlined = OutlinedPhotos { clicks, photos, segmenter, answered };
-    let group = GroupAnswer::of(request, tree, &corrected(leaves), expected_iou, &outlined)?;
+    let group = GroupAnswer::of(request, tree, &corrected(leaves), expected_iou, outlined)?;
     Ok(TreeAnswer { group, alternatives, other })
 }
 
@@ -255,7 +300,7 @@ impl GroupAnswer {
         expected_iou: f32,
         outlined: &OutlinedPhotos,
     ) -> Result<Option<GroupAnswer>, SegmentError> {
-        let OutlinedPhotos { clicks: prompts, photos, segmenter, answered } = *outlined;
+        let OutlinedPhotos { clicks: prompts, photos, segmenter, answered, own_masks } = *outlined;
         let labels = tree.splats_of(&chosen.selected);
         request.wanted()?;
         if let Some(steps) = request.steps {
@@ -288,16 +333,20 @@ impl GroupAnswer {
             let usable =
                 |found: ScoredMask| if alone && found.mask.is_empty() { unrefined(&wide) } else { found };
             let shown = refined.map(usable).filter(|shown| !shown.mask.is_empty());
-            // A mask that was drawn through several clicks knows the outline better, too, if it means the same.
-            masks.push(match shown {
-                Some(shown) if answered == Some(at) || several_inside(&prompt.1) => {
-                    let own = own_mask(request, prompt, photo, segmenter)?;
-                    Some(if own.mask.iou(&shown.mask) >= MIN_AGREEMENT { own } else { shown })
+            // A mask that was drawn through several clicks or a box knows the outline better, too, if it means the same.
+            let own = match own_masks.get(at) {
+                Some(Some(own)) => Some(own.clone()),
+                _ if shown.is_some() && (answered == Some(at) || several_inside(&prompt.1)) => {
+                    Some(own_mask(request, prompt, photo, segmenter)?)
                 }
-                shown => shown,
-            });
+                _ => None,
+            };
+            let means_same =
+                |shown: &ScoredMask, own: &ScoredMask| own.mask.iou(&shown.mask) >= MIN_AGREEMENT;
+            masks.push(shown.map(|shown| own.filter(|own| means_same(&shown, own)).unwrap_or(shown)));
         }
-        let means = |p: &Prompts| p.points.is_empty() || p.points.iter().any(|p| p.inside);
+        let means =
+            |p: &Prompts| p.points.is_empty() || !p.boxes.is_empty() || p.points.iter().any(|p| p.inside);
         let shows = prompts.iter().zip(&masks).any(|((_, p), mask)| means(p) && mask.is_some());
         Ok(shows.then_some(GroupAnswer { prior, expected_iou: expected_iou.clamp(0.0, 1.0), masks }))
     }

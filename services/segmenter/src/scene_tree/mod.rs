@@ -8,6 +8,7 @@
 //! ([`SceneTree::candidates`]), or a surface ([`SceneTree::surface_at`]).
 
 mod boundaries;
+mod boxes;
 mod corrections;
 mod describable;
 mod front_values;
@@ -24,6 +25,7 @@ mod spectral;
 mod surfaces;
 mod tree;
 
+pub(crate) use boxes::{BoxedGroups, BoxedLeaves};
 pub use corrections::{CorrectedLeaves, LeafClick, ShownLeaves};
 pub use describable::MOST_DESCRIBABLE;
 pub(crate) use graph::ENOUGH_VIEWS;

@@ -181,38 +181,17 @@ impl SceneTree {
     }
 }
 
-/// The groups of a tree that may be parts. How much higher a group's parent is counts relative to the widest gap on the way from
-/// the group's largest part to the root: a click lies there most often.
+/// The groups of a tree that may be parts.
 fn likely(number: usize, tree: &GroupTree) -> impl Iterator<Item = GroupCandidate> + '_ {
-    let merges = &tree.merges;
-    let n = merges.len();
-    let large = |node: usize| tree.groups[node].area >= MIN_AREA;
-    let gap = |node: usize| merges.height[merges.parent[node] as usize] - merges.height[node];
-    let own = |node: usize| if large(node) { gap(node) } else { 0.0 };
-    // The widest gap from each node's largest part to it, and from it to the root.
-    let (mut below, mut above) = ((0..n).map(own).collect::<Vec<f32>>(), vec![0.0f32; n]);
-    let mut largest = vec![0.0f32; n];
-    for node in 0..n {
-        let parent = merges.parent[node] as usize;
-        if parent != node && tree.groups[node].area > largest[parent] {
-            largest[parent] = tree.groups[node].area;
-            below[parent] = below[node].max(own(parent));
-        }
-    }
-    for node in (0..n).rev() {
-        let parent = merges.parent[node] as usize;
-        above[node] = if parent == node { own(node) } else { own(node).max(above[parent]) };
-    }
-    (0..n).filter(move |&node| large(node) && tree.groups[node].area <= MAX_PART_AREA).filter_map(
-        move |node| {
-            let widest = below[node].max(above[node]).max(1e-9);
-            let score = expected(number, tree, node as u32, gap(node) / widest);
-            let area = tree.groups[node].area;
-            (score >= MIN_EXPECTED_IOU).then(|| GroupCandidate {
-                nodes: vec![(number, node as u32)],
-                score,
-                area,
-            })
-        },
-    )
+    let may_be_part = |area: f32| (MIN_AREA..=MAX_PART_AREA).contains(&area);
+    let gaps = tree.relative_gaps();
+    (0..gaps.len()).filter(move |&node| may_be_part(tree.groups[node].area)).filter_map(move |node| {
+        let score = expected(number, tree, node as u32, gaps[node]);
+        let area = tree.groups[node].area;
+        (score >= MIN_EXPECTED_IOU).then(|| GroupCandidate {
+            nodes: vec![(number, node as u32)],
+            score,
+            area,
+        })
+    })
 }

@@ -108,6 +108,30 @@ impl GroupTree {
         let widest = large().map(gap).fold(1e-9, f32::max);
         large().map(move |node| (node, gap(node) / widest))
     }
+
+    /// Per group, how much higher its parent is, relative to the widest gap on the way from the group's largest part to the root: a
+    /// click lies there most often.
+    pub(super) fn relative_gaps(&self) -> Vec<f32> {
+        let merges = &self.merges;
+        let n = merges.len();
+        let gap = |node: usize| merges.height[merges.parent[node] as usize] - merges.height[node];
+        let own = |node: usize| if self.groups[node].area >= MIN_AREA { gap(node) } else { 0.0 };
+        // The widest gap from each node's largest part to it, and from it to the root.
+        let (mut below, mut above) = ((0..n).map(own).collect::<Vec<f32>>(), vec![0.0f32; n]);
+        let mut largest = vec![0.0f32; n];
+        for node in 0..n {
+            let parent = merges.parent[node] as usize;
+            if parent != node && self.groups[node].area > largest[parent] {
+                largest[parent] = self.groups[node].area;
+                below[parent] = below[node].max(own(parent));
+            }
+        }
+        for node in (0..n).rev() {
+            let parent = merges.parent[node] as usize;
+            above[node] = if parent == node { own(node) } else { own(node).max(above[parent]) };
+        }
+        (0..n).map(|node| gap(node) / below[node].max(above[node]).max(1e-9)).collect()
+    }
 }
 
 impl SceneTree {
@@ -161,17 +185,21 @@ impl SceneTree {
     /// Groups that hold a leaf in the trees of some boundaries, the likeliest first.
     pub(super) fn groups_with(&self, leaf: u32, boundaries: TreeBoundaries) -> Vec<GroupCandidate> {
         let mut found = Vec::new();
-        let queried = |(number, _): &(usize, &GroupTree)| takes_part(boundaries, TREES[*number].0);
-        for (number, tree) in self.trees.iter().enumerate().filter(queried) {
+        for (number, tree) in self.trees_of(boundaries) {
             for (node, gap) in tree.large_groups_with(leaf) {
                 let score = expected(number, tree, node, gap);
                 let area = tree.groups[node as usize].area;
-                let rank = weighed(&RANK, number, tree, node, gap);
+                let rank = rank(number, tree, node, gap);
                 found.push((rank, GroupCandidate { nodes: vec![(number, node)], score, area }));
             }
         }
         found.sort_by(|(a, first), (b, second)| b.total_cmp(a).then(first.nodes.cmp(&second.nodes)));
         found.into_iter().map(|(_, candidate)| candidate).collect()
+    }
+
+    /// The trees of some boundaries, with their numbers.
+    pub(super) fn trees_of(&self, boundaries: TreeBoundaries) -> impl Iterator<Item = (usize, &GroupTree)> {
+        self.trees.iter().enumerate().filter(move |(number, _)| takes_part(boundaries, TREES[*number].0))
     }
 
     /// The largest share of the outlines of a candidate's nodes that lies on the photos' frames.
@@ -225,7 +253,7 @@ fn takes_part(boundaries: TreeBoundaries, cue: usize) -> bool {
 }
 
 /// The first candidates that differ in size.
-fn apart(found: Vec<GroupCandidate>) -> Vec<GroupCandidate> {
+pub(super) fn apart(found: impl IntoIterator<Item = GroupCandidate>) -> Vec<GroupCandidate> {
     let mut kept: Vec<GroupCandidate> = Vec::new();
     for candidate in found {
         let apart =
@@ -240,6 +268,11 @@ fn apart(found: Vec<GroupCandidate>) -> Vec<GroupCandidate> {
 /// Expected IoU of a group. `gap`: how much higher its parent is, relative to the widest gap on its way to the root.
 pub(super) fn expected(number: usize, tree: &GroupTree, node: u32, gap: f32) -> f32 {
     weighed(&EXPECTED, number, tree, node, gap)
+}
+
+/// Rank of a group among others; as [`expected`].
+pub(super) fn rank(number: usize, tree: &GroupTree, node: u32, gap: f32) -> f32 {
+    weighed(&RANK, number, tree, node, gap)
 }
 
 /// The sum of what is known of a group by some weights; as [`expected`].
