@@ -92,7 +92,9 @@ pub use error::{PhotoError, ReaderError, SceneError};
 pub use export::{Export, SplatFormat};
 pub use half_rows::HalfRows;
 pub use image::{Image, write_rgba};
-pub use import::{ImportedSplats, RENDERED_VIEWS, ReadSplats, SplatFile, SplatLayout, SplatWriter, UpAxis};
+pub use import::{
+    ImportedSplats, RENDERED_VIEWS, ReadSplats, RenderedViews, SplatFile, SplatLayout, SplatWriter, UpAxis,
+};
 pub use logistic::{logit, sigmoid};
 pub use mask::{Mask, MaskSet, ScoredMask};
 pub use mask_files::{MaskFileError, MaskFiles};

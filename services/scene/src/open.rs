@@ -13,8 +13,8 @@ use crate::photo_files::LocateError;
 use crate::split::{Split, SplitPart};
 use crate::statistics::upper_median;
 use crate::{
-    HoldOut, ImportedSplats, PosedPhotos, RENDERED_VIEWS, Scene, SceneError, SceneFrame, SceneSettings,
-    Skipped, SplatFile, View,
+    HoldOut, ImportedSplats, PosedPhotos, Scene, SceneError, SceneFrame, SceneSettings, Skipped, SplatFile,
+    View,
 };
 use crate::{alpha, keep_masks, orientation};
 use image::metadata::Orientation;
@@ -111,11 +111,11 @@ impl Scene {
         notes.extend(placing.notes(&frame, &outliers).into_iter().map(of_source));
         let imported = match &*settings.imported_splats {
             "" => None,
-            file => Some(ImportedSplats {
-                file: SplatFile::open(Path::new(file))?,
-                frame: settings.imported_frame.clone(),
-                rendered: folder.join(RENDERED_VIEWS).is_file(),
-            }),
+            path => {
+                let file = SplatFile::open(Path::new(path))?;
+                let rendered = file.is_rendered_in(&folder)?;
+                Some(ImportedSplats { file, frame: settings.imported_frame.clone(), rendered })
+            }
         };
         let mut scene = Scene { views, points, skipped, notes, frame, imported };
         scene.notes.extend(scene.about_colours().map(of_source));

@@ -10,11 +10,10 @@ use segwild_flow::files::{self, FileError};
 use segwild_raster::{Channels, ProjectOptions, Rasterizer};
 use segwild_scene::ply::SH0;
 use segwild_scene::{
-    Alpha, HoldOut, Pose, RENDERED_VIEWS, ReadSplats, SceneError, SceneFrame, SplatFile, Splats, UpAxis,
-    write_rgba,
+    Alpha, HoldOut, Pose, RENDERED_VIEWS, ReadSplats, RenderedViews, SceneError, SceneFrame, SplatFile,
+    Splats, UpAxis, write_rgba,
 };
 use segwild_trainer::AppearanceModel;
-use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -29,14 +28,6 @@ const ASPECT: f32 = 0.75;
 const POINTS: usize = 20_000;
 /// Opacity from which a splat is written as a point.
 const OPAQUE: f32 = 0.5;
-
-/// [`RENDERED_VIEWS`]: what the views show.
-#[derive(PartialEq, Serialize, Deserialize)]
-struct RenderedViews {
-    rule: u32,
-    splats: String,
-    size: u32,
-}
 
 /// Renders views of splats into the run folder, and sets what follows for the run: no photo is held out, all have one appearance
 /// and no transients. Returns the scene's folder; views that are there already stay.

@@ -18,7 +18,9 @@ pub use program::{SplatWriter, UpAxis};
 use crate::digest::hash_file;
 use crate::ply::{self, header::Header};
 use crate::{SceneError, Splats, open_file};
-use std::io::Read;
+use segwild_files::read_within;
+use serde::{Deserialize, Serialize};
+use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
 /// Bytes from which the head of a file is read: headers are a few KiB.
@@ -85,8 +87,22 @@ pub struct ImportedSplats {
     pub rendered: bool,
 }
 
-/// The file in a scene's folder by which its photos are renders of imported splats.
+/// The file in a scene's folder that holds [`RenderedViews`].
 pub const RENDERED_VIEWS: &str = "views.json";
+
+/// Most bytes of that file: it holds three short fields, but other programs may have one of that name.
+const MOST_RENDERED_VIEWS: u64 = 64 << 20;
+
+/// What the photos of a scene were rendered from, where they are renders of splats.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RenderedViews {
+    /// The rule by which the views were chosen.
+    pub rule: u32,
+    /// The splats, by [`SplatFile::digest`].
+    pub splats: String,
+    /// Long side of the views in pixels.
+    pub size: u32,
+}
 
 /// The name of nerfstudio's file with the transform from the world of the poses to that of the splats.
 const DATAPARSER_TRANSFORMS: &str = "dataparser_transforms.json";
@@ -231,6 +247,23 @@ impl SplatFile {
     /// When it cannot be read.
     pub fn digest(&self) -> Result<String, SceneError> {
         digest_of([self.path.clone()])
+    }
+
+    /// Whether the photos in a scene's folder are renders of these splats: [`RENDERED_VIEWS`] there says so.
+    ///
+    /// # Errors
+    /// When that file or the splats cannot be read.
+    pub fn is_rendered_in(&self, scene: &Path) -> Result<bool, SceneError> {
+        let path = scene.join(RENDERED_VIEWS);
+        let text = match read_within(&path, MOST_RENDERED_VIEWS) {
+            Err(e) if e.kind() == ErrorKind::NotFound => return Ok(false),
+            text => text.map_err(SceneError::io(&path))?,
+        };
+        // Other programs may have a file of that name.
+        match serde_json::from_slice::<RenderedViews>(&text) {
+            Ok(views) => Ok(views.splats == self.digest()?),
+            Err(_) => Ok(false),
+        }
     }
 
     /// What it is, in words.

@@ -1,7 +1,7 @@
 //! Splats of other programs, as their files hold them.
 
 use glam::{DVec3, Mat3, Vec3};
-use segwild_scene::{Export, SceneFrame, SplatFile, SplatLayout, Splats, UpAxis, ply};
+use segwild_scene::{Export, RenderedViews, SceneFrame, SplatFile, SplatLayout, Splats, UpAxis, ply};
 use serde_json::{Value, json};
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
@@ -802,4 +802,23 @@ fn the_last_iteration_of_a_folder_is_taken() {
     assert!(path.ends_with("iteration_30000/point_cloud.ply"), "{}", path.display());
     let empty = tempfile::tempdir().unwrap();
     assert!(SplatFile::open(empty.path()).unwrap_err().to_string().contains("name the file"));
+}
+
+#[test]
+fn a_file_of_that_name_alone_makes_no_folder_one_of_renders() {
+    let dir = tempfile::tempdir().unwrap();
+    let (splats, other) =
+        (SplatFile::open(&file("six.ply")).unwrap(), SplatFile::open(&file("six.glb")).unwrap());
+    let says = |text: &str| {
+        std::fs::write(dir.path().join("views.json"), text).unwrap();
+        splats.is_rendered_in(dir.path()).unwrap()
+    };
+    let of = |file: &SplatFile| {
+        let views = RenderedViews { rule: 2, splats: file.digest().unwrap(), size: 640 };
+        serde_json::to_string(&views).unwrap()
+    };
+    assert!(!splats.is_rendered_in(dir.path()).unwrap());
+    assert!(!says("[{\"name\": \"a view of another program\"}]"));
+    assert!(!says(&of(&other)));
+    assert!(says(&of(&splats)));
 }
