@@ -69,7 +69,7 @@ pub const CLICKS: usize = 6;
 const UNCOVERED: f32 = 0.9;
 
 /// Collects [`Manifest`] photo by photo.
-#[derive(Serialize, Deserialize)]
+#[derive(Clone, Serialize, Deserialize)]
 pub struct TruthBuilder {
     instances: Vec<Instance>,
     photos: Vec<PhotoTruth>,
@@ -82,6 +82,19 @@ impl TruthBuilder {
     pub fn new(instances: &[Instance]) -> TruthBuilder {
         let rankings = instances.iter().skip(1).map(|_| ClickRanking::default()).collect();
         TruthBuilder { instances: instances.to_vec(), photos: Vec::new(), rankings }
+    }
+
+    /// Whether its parts fit together: it may have been read from a file.
+    pub fn is_sound(&self) -> bool {
+        let is_listed =
+            |(_, click): &(bool, Click)| self.photos.iter().any(|photo| photo.name == click.photo);
+        // Ids have 8 bits, and 0 is the sky.
+        (1..=usize::from(u8::MAX) + 1).contains(&self.instances.len())
+            && self.rankings.len() + 1 == self.instances.len()
+            && self
+                .rankings
+                .iter()
+                .all(|ranking| ranking.0.len() <= CLICKS && ranking.0.iter().all(is_listed))
     }
 
     /// The instances of the set.
@@ -180,7 +193,7 @@ fn shown_instance(photo: &SyntheticPhoto, instance: u16) -> Option<ShownInstance
 
 /// The best clicks on an instance among the photos so far, at most [`CLICKS`]; with each whether its photo shows the instance
 /// well.
-#[derive(Default, Serialize, Deserialize)]
+#[derive(Clone, Default, Serialize, Deserialize)]
 struct ClickRanking(Vec<(bool, Click)>);
 
 impl ClickRanking {

@@ -16,7 +16,9 @@ use segwild_scene::colmap::{
     self, CameraModel, CameraRecord, ImageRecord, Keypoint, PointRecord, Reconstruction,
 };
 use segwild_scene::{Image, SceneError};
+use serde::Deserialize;
 use serde::de::DeserializeOwned;
+use serde_json::json;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
@@ -26,9 +28,21 @@ const KINDS: [&str; 5] = ["clean", "sky", "transient", "instance", "part"];
 /// The folder in `truth` with the depth of each photo.
 const DEPTH: &str = "depth";
 
-/// The set of a folder whose writing was stopped: its options, and the truth of the photos that are there. Not there once the set is
-/// whole.
+/// The file that holds an [`UnfinishedSet`]. Not there once the set is whole.
 const UNFINISHED: &str = "truth/unfinished.json";
+
+/// What wrote a set: another version may take other photos.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// A set whose writing was stopped.
+#[derive(Deserialize)]
+struct UnfinishedSet {
+    /// What wrote it.
+    version: String,
+    options: SyntheticOptions,
+    /// The truth of the photos that are there.
+    truth: TruthBuilder,
+}
 
 /// Most bytes of a manifest. One of 4000 photos, the most that a set has, takes less than 1 MiB.
 const MOST_MANIFEST: u64 = 64 << 20;
@@ -85,8 +99,7 @@ impl<'a> SetWriter<'a> {
         instances: &[Instance],
         photos: &'a [PhotoRecord],
     ) -> Result<SetWriter<'a>, SyntheticError> {
-        forget_other_set(dir, options)?;
-        let truth = unfinished_set(dir, options, instances, photos)?;
+        let truth = held_truth(dir, options, instances, photos)?;
         let objects: Vec<(u16, String)> =
             (0..).zip(instances).skip(1).map(|(id, instance)| (id, instance.name.clone())).collect();
         let kinds = KINDS.into_iter().chain([DEPTH]).chain(objects.iter().map(|(_, name)| name.as_str()));
@@ -95,7 +108,16 @@ impl<'a> SetWriter<'a> {
             std::fs::create_dir_all(&folder).map_err(failed)?;
         }
         let truth = truth.unwrap_or_else(|| TruthBuilder::new(instances));
-        Ok(SetWriter { dir, options, photos, objects, truth })
+        let writer = SetWriter { dir, options, photos, objects, truth };
+        writer.keep()?;
+        Ok(writer)
+    }
+
+    /// Writes what is needed to go on.
+    fn keep(&self) -> Result<(), SyntheticError> {
+        let path = self.dir.join(UNFINISHED);
+        let held = json!({ "version": VERSION, "options": self.options, "truth": self.truth });
+        Ok(write_atomic(&path, held.to_string().as_bytes()).map_err(SceneError::from)?)
     }
 
     /// Number of photos that are written: the first ones of the set.
@@ -108,10 +130,7 @@ impl<'a> SetWriter<'a> {
         let SetWriter { dir, objects, truth, .. } = self;
         let (written, ()) = rayon::join(|| write_photo(dir, objects, photo), || truth.add(photo));
         written?;
-        let path = self.dir.join(UNFINISHED);
-        let text = serde_json::to_vec(&(self.options, &self.truth))
-            .map_err(|e| SceneError::invalid(&path, "manifest", e.to_string()))?;
-        Ok(write_atomic(&path, &text).map_err(SceneError::from)?)
+        self.keep()
     }
 
     /// Writes what the set has besides its photos, all of which are written.
@@ -128,46 +147,50 @@ impl<'a> SetWriter<'a> {
     }
 }
 
-/// Removes another set. The same set stays: it is written again as it is.
-fn forget_other_set(dir: &Path, options: &SyntheticOptions) -> Result<(), SceneError> {
-    let path = dir.join("truth.json");
-    match held_set::<Manifest>(&path)? {
-        Some(held) if held.options != *options => forget(dir, &path, &held),
-        _ => Ok(()),
-    }
-}
-
-/// The truth of the photos that a stopped writer of the same set wrote. What it wrote of another set is removed.
-fn unfinished_set(
+/// The truth of the photos that a stopped writer of the same set wrote. Other sets are removed; the same set, if it is whole, is
+/// written again as it is.
+fn held_truth(
     dir: &Path,
     options: &SyntheticOptions,
     instances: &[Instance],
     photos: &[PhotoRecord],
 ) -> Result<Option<TruthBuilder>, SceneError> {
-    let path = dir.join(UNFINISHED);
-    let Some((held_options, truth)) = held_set::<(SyntheticOptions, TruthBuilder)>(&path)? else {
-        return Ok(None);
+    let (whole_path, path) = (dir.join("truth.json"), dir.join(UNFINISHED));
+    // Both are read before anything is removed.
+    let whole = held_set::<Manifest>(&whole_path)?;
+    let unfinished = held_set::<UnfinishedSet>(&path)?;
+    if let Some(set) = &unfinished
+        && !set.truth.is_sound()
+    {
+        return Err(refusal(&path, "its objects and photos do not fit together"));
+    }
+    if let Some(held) = whole.filter(|held| held.options != *options) {
+        let names = held.photos.iter().map(|photo| photo.name.clone()).collect();
+        forget(dir, &whole_path, &held, names)?;
+    }
+    let Some(UnfinishedSet { version, options: held_options, truth }) = unfinished else { return Ok(None) };
+    let is_same = version == VERSION && held_options == *options && truth.instances() == instances;
+    let names: Vec<String> = truth.photo_names().map(str::to_owned).collect();
+    let manifest = truth.clone().manifest(&held_options, &[]);
+    let is_there = |(name, photo): (&String, &PhotoRecord)| {
+        *name == photo.name && files_of(name, &manifest).all(|file| dir.join(file).is_file())
     };
-    let is_there =
-        |(name, photo): (&str, &PhotoRecord)| name == photo.name && dir.join("images").join(name).is_file();
-    let is_same = held_options == *options && truth.instances() == instances;
-    if is_same && truth.photo_names().len() <= photos.len() && truth.photo_names().zip(photos).all(is_there) {
+    if is_same && names.len() <= photos.len() && names.iter().zip(photos).all(is_there) {
         return Ok(Some(truth));
     }
-    forget(dir, &path, &truth.manifest(&held_options, &[]))?;
+    // Of the photo after the last, a writer that was stopped may have left some files.
+    let next = photo_name(names.len());
+    forget(dir, &path, &manifest, names.into_iter().chain([next]).collect())?;
     Ok(None)
 }
 
-/// Removes a set: its reconstruction, the photos and masks that its manifest at `path` lists, and the manifest.
-fn forget(dir: &Path, path: &Path, held: &Manifest) -> Result<(), SceneError> {
+/// Removes a set: its reconstruction, the photos and masks of these names, and its manifest at `path`.
+fn forget(dir: &Path, path: &Path, held: &Manifest, names: Vec<String>) -> Result<(), SceneError> {
     check_listed(path, held)?;
     for name in ["sparse/0/cameras.bin", "sparse/0/images.bin", "sparse/0/points3D.bin", "split.tsv"] {
         remove(&dir.join(name))?;
     }
-    // Of the photo after the last, a writer that was stopped may have left some files.
-    let next = photo_name(held.photos.len());
-    let names = held.photos.iter().map(|photo| photo.name.as_str()).chain([next.as_str()]);
-    names.flat_map(|name| files_of(name, held)).try_for_each(|file| remove(&dir.join(file)))?;
+    names.iter().flat_map(|name| files_of(name, held)).try_for_each(|file| remove(&dir.join(file)))?;
     // The manifest last: it names the rest to whoever is stopped before.
     remove(path)
 }
@@ -179,20 +202,14 @@ fn held_set<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, SceneError> {
         Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => return Ok(None),
         Err(source) => return Err(SceneError::Io { path: path.to_owned(), source }),
     };
-    serde_json::from_slice(&text).map(Some).map_err(|e| {
-        let reason = format!(
-            "it does not name the set that the folder holds: {e}; take the file away, or choose another folder"
-        );
-        SceneError::invalid(path, "manifest", reason)
-    })
+    serde_json::from_slice(&text)
+        .map(Some)
+        .map_err(|e| refusal(path, &format!("it does not name the set that the folder holds: {e}")))
 }
 
 /// Refuses a manifest that lists what no set has: it may come from anywhere, and its names must lead nowhere else.
 fn check_listed(path: &Path, held: &Manifest) -> Result<(), SceneError> {
-    let refuse = |what: String| {
-        let reason = format!("{what}; take the file away, or choose another folder");
-        Err(SceneError::invalid(path, "manifest", reason))
-    };
+    let refuse = |what: String| Err(refusal(path, &what));
     let (photos, objects) = (held.photos.len(), held.objects.len());
     if photos > MOST_PHOTOS || objects > MOST_OBJECTS {
         return refuse(format!(
@@ -205,6 +222,11 @@ fn check_listed(path: &Path, held: &Manifest) -> Result<(), SceneError> {
         Some(name) => refuse(format!("`{name}` is no file name")),
         None => Ok(()),
     }
+}
+
+/// Why what a folder holds is not believed.
+fn refusal(path: &Path, what: &str) -> SceneError {
+    SceneError::invalid(path, "manifest", format!("{what}; take the file away, or choose another folder"))
 }
 
 /// A photo of a set and its truth, as paths within the set's folder.

@@ -143,9 +143,25 @@ fn a_set_that_was_stopped_and_is_another_or_lost_a_photo_is_written_from_the_sta
     assert!(starts_over(&stopped));
     assert!(written(&stopped).is_err());
     assert!(!starts_over(&stopped));
-    std::fs::write(dir.path().join("truth/unfinished.json"), "[]").unwrap();
-    let refused = written(&other).unwrap_err().to_string();
-    assert!(refused.contains("unfinished.json") && refused.contains("does not name the set"), "{refused}");
+    assert!(written(&stopped).is_err());
+    std::fs::remove_file(dir.path().join("truth/depth/photo_001.pfm")).unwrap();
+    assert!(starts_over(&stopped));
+    // What cannot be believed is refused, and nothing is removed.
+    assert!(written(&stopped).is_err());
+    let path = dir.path().join("truth/unfinished.json");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let mut forged: serde_json::Value = serde_json::from_str(&text).unwrap();
+    forged["truth"]["rankings"].as_array_mut().unwrap().pop();
+    for (text, reason) in [("[]", "does not name the set"), (&*forged.to_string(), "do not fit together")] {
+        std::fs::write(&path, text).unwrap();
+        let before = files(dir.path());
+        let refused = written(&other).unwrap_err().to_string();
+        assert!(refused.contains("unfinished.json") && refused.contains(reason), "{refused}");
+        assert!(files(dir.path()) == before);
+    }
+    // Another version may take other photos.
+    std::fs::write(&path, text.replacen("\"version\":\"", "\"version\":\"0.", 1)).unwrap();
+    assert!(starts_over(&stopped));
 }
 
 #[test]
