@@ -12,9 +12,21 @@ use segwild_scene::{Mask, Splats};
 /// lacks it (method, section 13). By choice.
 const MIN_WRONG_SHARE: f32 = 0.7;
 
-/// Largest part that a click adds or takes out, as a share of the selection's light (method, section 13). From
+/// Largest part that a click adds, as a share of the selection's light (method, section 13). From
 /// docs/experiments/2026-11-30-corrections.md.
-const MAX_PART: f32 = 0.5;
+const MAX_ADDED: f32 = 0.5;
+
+/// A part of this share of all light may be added to any selection (method, section 13): a small one would hardly grow otherwise.
+/// From docs/experiments/2026-11-30-corrections.md.
+const SMALL_SELECTION_ADDED: f32 = 0.05;
+
+/// Largest part that a click takes out, as a share of the selection's light (method, section 13). From
+/// docs/experiments/2026-11-30-corrections.md.
+const MAX_TAKEN_OUT: f32 = 0.25;
+
+/// Largest part of a surface that a click adds or takes out, as a share of the selection's light (method, section 13): it is found by
+/// its shape, and hardly ends too early. By choice.
+const MAX_OF_SURFACE: f32 = 0.5;
 
 /// Weight of how deep a click lies within a part, beside the part's expected IoU (method, section 13): a person clicks into the
 /// middle of what is wrong. From docs/experiments/2026-11-30-corrections.md.
@@ -150,7 +162,11 @@ impl SceneTree {
             let light = self.trees.first().map_or(&[][..], |tree| &tree.groups[..leaves]);
             light.iter().enumerate().map(|(i, leaf)| if takes_part(i) { leaf.area } else { 0.0 }).collect()
         };
-        let most = MAX_PART * light_of(&|leaf| selected[leaf]).iter().sum::<f32>();
+        let selection = light_of(&|leaf| selected[leaf]).iter().sum::<f32>();
+        let most = match click.inside {
+            true => (MAX_ADDED * selection).max(SMALL_SELECTION_ADDED),
+            false => MAX_TAKEN_OUT * selection,
+        };
         let wrong_light = light_of(&is_wrong);
         let depth_of = |part: &[bool]| click.shown.as_ref().map_or(0.0, |shown| shown.depth(part));
         let (mut best, mut smallest) = (None::<(f32, usize, u32)>, None::<(f32, usize, u32)>);
@@ -186,7 +202,7 @@ impl SceneTree {
             let mut others = clicks.iter().filter(|other| other.inside != click.inside);
             let score = SURFACE_IOU + DEPTH_WEIGHT * depth_of(&within);
             let is_part = within[click.leaf as usize]
-                && light <= most
+                && light <= MAX_OF_SURFACE * selection
                 && others.all(|other| !within[other.leaf as usize]);
             if is_part && best.is_none_or(|(most, ..)| score > most) {
                 return within;
