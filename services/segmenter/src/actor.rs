@@ -186,7 +186,7 @@ impl SegmentActor {
         let TreeAnswer { group, alternatives, other } = match (&self.tree, &task.group) {
             (Some(tree), Some(meant)) => {
                 let photos_of = tree_answer::OutlinedPhotos {
-                    clicks: &task.prompts,
+                    prompted: &task.prompts,
                     photos: &photos,
                     segmenter: &*self.segmenter,
                     answered: None,

@@ -77,17 +77,17 @@ segwild_scene::choice! {
 }
 
 segwild_scene::choice! {
-    /// What the first answer to clicks comes from, before other photos refine it.
+    /// What the first answer to prompts comes from, before other photos refine it.
     pub enum FirstAnswer {
-        /// The scene tree. Boxes, and clicks that SAM answers, come from the photo all the same.
+        /// The scene tree. Several boxes in one photo, and prompts that SAM answers, come from the photo all the same.
         Tree = "tree",
-        /// The clicked photo alone (the paper).
+        /// The prompted photo alone (the paper).
         Photo = "photo"
     }
 }
 
 segwild_scene::choice! {
-    /// Which boundaries the trees are grown from that answer a click.
+    /// Which boundaries the trees are grown from that answer prompts.
     pub enum TreeBoundaries {
         /// Those of the photos, those of the geometry, and both together: the candidates of all trees are pooled.
         All = "all",
@@ -101,9 +101,9 @@ segwild_scene::choice! {
 segwild_scene::settings! {
     /// How clicks and masks become a selection of splats.
     pub struct SegmentSettings("segment", user: alternative propagate spikes object_appearance) {
-        /// What the first answer to clicks comes from.
+        /// What the first answer to prompts comes from.
         first_answer: FirstAnswer = FirstAnswer::Tree,
-        /// Boundaries of the trees that answer the first click; further clicks correct the answer by all trees.
+        /// Boundaries of the trees that answer the first click or a box; further clicks correct the answer by all trees.
         tree_boundaries: TreeBoundaries = TreeBoundaries::All,
         /// Which of the listed alternatives is selected.
         alternative: u32 = 0 => 0..=31,

@@ -1,5 +1,6 @@
-//! The first answer to clicks by the scene tree (method, section 13).
+//! The first answer to prompts by the scene tree (method, section 13).
 
+use crate::box_bounds::with_margin;
 use crate::scene_tree::{
     BoxedGroups, BoxedLeaves, CorrectedLeaves, GroupCandidate, LeafClick, LeafMap, MIN_SURFACE_FRAME, NONE,
     SCENE_AREA, SURFACE_IOU, SceneSurface, SceneTree, ShownLeaves,
@@ -11,7 +12,7 @@ use crate::{
 };
 use glam::Vec2;
 use segwild_raster::{Channels, CpuEngine};
-use segwild_scene::{Image, Mask, Prompts, ScoredMask};
+use segwild_scene::{Camera, Image, Mask, Prompts, ScoredMask};
 use segwild_vision::{PromptSegmenter, VisionError};
 
 /// Votes and coverage evidence of the scene tree on each splat (method, section 13): those of so many photos that see it whole.
@@ -27,7 +28,7 @@ const MIN_AGREEMENT: f64 = 0.5;
 /// Share of a group's light on a surface from which the group is a piece of it (method, section 13). By choice.
 const MIN_SHARE_ON_SURFACE: f32 = 0.5;
 
-/// Something that clicks may select.
+/// Something that prompts may select.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Alternative {
@@ -35,7 +36,7 @@ pub enum Alternative {
     Group(f32),
     /// The surface that the click is on, without what stands there: its share of the light that all photos see.
     Surface(f32),
-    /// What the clicked photo's own mask holds.
+    /// What the prompted photo's own mask holds.
     Photo,
 }
 
@@ -58,12 +59,12 @@ impl Candidate<'_> {
     }
 }
 
-/// What clicks select.
+/// What prompts select.
 #[derive(Default)]
 pub(crate) struct TreeAnswer {
     /// The group that is selected; `None` where the photos' own masks are.
     pub group: Option<GroupAnswer>,
-    /// What the clicks may select, in the order of [`SegmentSettings::alternative`](crate::SegmentSettings::alternative).
+    /// What the prompts may select, in the order of [`SegmentSettings::alternative`](crate::SegmentSettings::alternative).
     pub alternatives: Vec<Alternative>,
     /// Whether each leaf belongs to the likeliest group or surface that is not selected; `None` where there is none.
     pub other: Option<Vec<bool>>,
@@ -82,7 +83,7 @@ pub(crate) struct GroupAnswer {
 /// Photos in which a group of the scene tree is outlined.
 pub(crate) struct OutlinedPhotos<'a> {
     /// Views with their prompts.
-    pub clicks: &'a [(usize, Prompts)],
+    pub prompted: &'a [(usize, Prompts)],
     /// Their photos.
     pub photos: &'a [Image],
     /// Draws the outlines.
@@ -98,10 +99,11 @@ fn several_inside(prompts: &Prompts) -> bool {
     prompts.points.iter().filter(|point| point.inside).count() > 1
 }
 
-/// The tree's answer to prompts, with their photos. `request` needs none. Of clicks the first positive click chooses a group, and the others correct it. It chooses
-/// the surface that it is on where the likeliest group is cut off by the photos' frames as a surface is, or is a piece of it. The
-/// photo's own mask comes first where several clicks are all positive and in one photo, not all on that surface, and where the tree
-/// answers one click with the scene; always where the model of the masks finds whole objects by itself.
+/// The tree's answer to prompts, with their photos; `request` needs none. Boxes are answered by themselves. Of clicks the first
+/// positive one chooses a group, and the others correct it. It chooses the surface that it is on where the likeliest group is cut
+/// off by the photos' frames as a surface is, or is a piece of it. The photo's own mask comes first where several clicks are all
+/// positive and in one photo, not all on that surface, and where the tree answers one click with the scene; always where the model
+/// of the masks finds whole objects by itself.
 pub(crate) fn answer(
     request: &Request,
     tree: &SceneTree,
@@ -178,7 +180,7 @@ pub(crate) fn answer(
         candidates.insert(usize::from(!on_surface), Candidate::Surface(&tree.surfaces[surface]));
     }
     let answered = (is_scene && !on_surface).then_some(prompt);
-    let outlined = OutlinedPhotos { clicks, photos, segmenter, answered, own_masks: &[] };
+    let outlined = OutlinedPhotos { prompted: clicks, photos, segmenter, answered, own_masks: &[] };
     answer_by(request, tree, &candidates, &corrections, &outlined)
 }
 
@@ -191,32 +193,45 @@ fn answer_to_boxes(
     photos: &[Image],
     segmenter: &dyn PromptSegmenter,
 ) -> Result<TreeAnswer, SegmentError> {
+    // Several boxes in a photo are several things, or parts of one: the photo's own mask holds all of them.
+    if prompted.iter().any(|(_, prompts)| prompts.boxes.len() > 1) {
+        return Ok(TreeAnswer::default());
+    }
+    let Some(hit) = leaf_clicks(request, tree, prompted)? else { return Ok(TreeAnswer::default()) };
     let (engine, leaves) = (CpuEngine::new(), tree.trees.first().map_or(0, |tree| tree.merges.leaves));
     let (mut boxes, mut own_masks) = (Vec::new(), vec![None; prompted.len()]);
-    for ((prompt, photo), own) in prompted.iter().zip(photos).zip(&mut own_masks) {
-        let (view, Prompts { boxes: in_photo, .. }) = prompt;
-        let around = match in_photo.as_slice() {
-            [] => continue,
-            [around] => around,
-            // Several things, or parts of one: the photo's own mask holds all of them.
-            _ => return Ok(TreeAnswer::default()),
-        };
+    for (number, ((view, prompts), photo)) in prompted.iter().zip(photos).enumerate() {
+        let Some(prompt) = prompts.boxes.first() else { continue };
+        request.wanted()?;
         let posed = &request.views[*view];
         let map = LeafMap::render(&engine, request.splats, &request.options, posed, tree)
             .map_err(SegmentError::raster(&posed.name))?;
-        let own = own.insert(own_mask(request, prompt, photo, segmenter)?);
-        boxes.push(BoxedLeaves::of(&map, leaves, around, &posed.camera, &own.mask));
+        // Clicks correct the group that the box alone means.
+        let alone = (*view, Prompts { boxes: prompts.boxes.clone(), ..Prompts::default() });
+        let own = own_mask(request, &alone, photo, segmenter)?;
+        boxes.extend(BoxedLeaves::of(&map, leaves, prompt, &own.mask));
+        if hit.iter().all(|(photo, _)| *photo == number) {
+            let corrected = (!prompts.points.is_empty())
+                .then(|| own_mask(request, &prompted[number], photo, segmenter))
+                .transpose()?;
+            own_masks[number] = Some(corrected.unwrap_or(own));
+        }
     }
-    let Some(hit) = leaf_clicks(request, tree, prompted)? else { return Ok(TreeAnswer::default()) };
-    // A part that a click adds to a thing, or takes out of it, is no surface.
-    let corrections: Vec<LeafClick> =
-        hit.into_iter().map(|(_, click)| LeafClick { surface: None, ..click }).collect();
-    let BoxedGroups { groups, fits } = tree.groups_in_boxes(&boxes, request.settings.tree_boundaries);
+    let mut corrections: Vec<LeafClick> = hit.into_iter().map(|(_, click)| click).collect();
+    if request.settings.tree_boundaries == TreeBoundaries::Photo || segmenter.finds_objects() {
+        corrections.iter_mut().for_each(|click| click.surface = None);
+    }
+    let BoxedGroups { groups, fits } = match boxes.as_slice() {
+        [] => BoxedGroups { groups: Vec::new(), fits: false },
+        boxes => tree.groups_in_boxes(boxes, request.settings.tree_boundaries),
+    };
     let mut candidates: Vec<Candidate> = groups.iter().map(Candidate::Group).collect();
-    candidates.insert(usize::from(fits && !segmenter.finds_objects()), Candidate::Photo);
-    let outlined =
-        OutlinedPhotos { clicks: prompted, photos, segmenter, answered: None, own_masks: &own_masks };
-    answer_by(request, tree, &candidates, &corrections, &outlined)
+    let photo_at = usize::from(fits && !segmenter.finds_objects());
+    candidates.insert(photo_at, Candidate::Photo);
+    let outlined = OutlinedPhotos { prompted, photos, segmenter, answered: None, own_masks: &own_masks };
+    let answer = answer_by(request, tree, &candidates, &corrections, &outlined)?;
+    // A group that does not fit the box is no other opinion of it.
+    Ok(if fits { answer } else { TreeAnswer { other: None, ..answer } })
 }
 
 /// The answer by the candidate that the settings choose, corrected by clicks.
@@ -253,7 +268,9 @@ fn leaf_clicks(
     clicks: &[(usize, Prompts)],
 ) -> Result<Option<Vec<(usize, LeafClick)>>, SegmentError> {
     let (nothing, engine) = (Mask::empty(1, 1), CpuEngine::new());
-    let several = clicks.iter().map(|(_, prompts)| prompts.points.len()).sum::<usize>() > 1;
+    // One click alone corrects nothing.
+    let several =
+        clicks.iter().map(|(_, prompts)| prompts.points.len() + prompts.boxes.len()).sum::<usize>() > 1;
     let mut found = Vec::new();
     for (number, (view, prompts)) in clicks.iter().enumerate() {
         for point in &prompts.points {
@@ -300,7 +317,7 @@ impl GroupAnswer {
         expected_iou: f32,
         outlined: &OutlinedPhotos,
     ) -> Result<Option<GroupAnswer>, SegmentError> {
-        let OutlinedPhotos { clicks: prompts, photos, segmenter, answered, own_masks } = *outlined;
+        let OutlinedPhotos { prompted: prompts, photos, segmenter, answered, own_masks } = *outlined;
         let labels = tree.splats_of(&chosen.selected);
         request.wanted()?;
         if let Some(steps) = request.steps {
@@ -328,8 +345,8 @@ impl GroupAnswer {
                 true => Some(segmenter.refine(photo, &wide).map_err(failed)?),
                 false => None,
             };
-            // Where there are clicks, their photo answers for a group in which the model finds nothing.
-            let alone = prompt.1.points.is_empty();
+            // Where there are prompts, their photo answers for a group in which the model finds nothing.
+            let alone = prompt.1.points.is_empty() && prompt.1.boxes.is_empty();
             let usable =
                 |found: ScoredMask| if alone && found.mask.is_empty() { unrefined(&wide) } else { found };
             let shown = refined.map(usable).filter(|shown| !shown.mask.is_empty());
@@ -343,6 +360,11 @@ impl GroupAnswer {
             };
             let means_same =
                 |shown: &ScoredMask, own: &ScoredMask| own.mask.iou(&shown.mask) >= MIN_AGREEMENT;
+            let within = |shown: ScoredMask| ScoredMask {
+                mask: within_box(&shown.mask, &prompt.1, &posed.camera),
+                ..shown
+            };
+            let shown = shown.map(within).filter(|shown| !shown.mask.is_empty());
             masks.push(shown.map(|shown| own.filter(|own| means_same(&shown, own)).unwrap_or(shown)));
         }
         let means =
@@ -350,6 +372,21 @@ impl GroupAnswer {
         let shows = prompts.iter().zip(&masks).any(|((_, p), mask)| means(p) && mask.is_some());
         Ok(shows.then_some(GroupAnswer { prior, expected_iou: expected_iou.clamp(0.0, 1.0), masks }))
     }
+}
+
+/// A group's mask without what lies outside of a box and its margin, unless a positive click does. Prompts have the pixels of
+/// `camera`.
+fn within_box(mask: &Mask, prompts: &Prompts, camera: &Camera) -> Mask {
+    let Some(wide) = prompts.boxes.first().map(with_margin) else { return mask.clone() };
+    let holds = |x: f32, y: f32| (wide.x0..=wide.x1).contains(&x) && (wide.y0..=wide.y1).contains(&y);
+    if prompts.points.iter().any(|point| point.inside && !holds(point.x, point.y)) {
+        return mask.clone();
+    }
+    let (width, height) = (mask.width(), mask.height());
+    let scale = [camera.width as f32 / width as f32, camera.height as f32 / height as f32];
+    Mask::from_fn(width, height, |x, y| {
+        mask.get(x, y) && holds((x as f32 + 0.5) * scale[0], (y as f32 + 0.5) * scale[1])
+    })
 }
 
 /// The mask of a group in which a model finds nothing, such as a small one: the pixels that it makes up half as much of as any.

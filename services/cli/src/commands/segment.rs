@@ -122,13 +122,13 @@ fn print_alternatives(done: &SegmentOutcome, selected: usize) -> Result<(), Fail
             Alternative::Surface(area) => {
                 format!("--alternative {i} (the surface, {:.1} % of the scene)", 100.0 * area)
             }
-            Alternative::Photo => format!("--alternative {i} (the clicked photo's own mask)"),
+            Alternative::Photo => format!("--alternative {i} (the prompted photo's own mask)"),
         })
         .collect();
     if others.is_empty() {
         return Ok(());
     }
-    print_line(&format!("the clicks may also mean {}", others.join(", ")))
+    print_line(&format!("the prompts may also mean {}", others.join(", ")))
 }
 
 /// What a text may mean: what it selects, and a line for each other match.

@@ -4,7 +4,7 @@ use super::query::{MIN_AREA, apart, expected, rank};
 use super::{GroupCandidate, LeafMap, MergeTree, NONE, SceneTree};
 use crate::TreeBoundaries;
 use crate::box_bounds::{widened, with_margin};
-use segwild_scene::{BoxPrompt, Camera, Mask};
+use segwild_scene::{BoxPrompt, Mask};
 
 /// Weight `lambda_r` of a group's rank beside how it fits a box (method, section 13). Other weights of these three change little
 /// (docs/experiments/2026-11-30-boxes-by-the-tree.md).
@@ -34,7 +34,7 @@ pub(crate) struct BoxedLeaves {
     within: Vec<f32>,
     /// Per leaf, its pixels within the photo's own mask of the box.
     masked: Vec<f32>,
-    /// Pixels of that mask.
+    /// Pixels of that mask; none where it says nothing.
     mask: f32,
     /// Per leaf, x0, y0, -x1, -y1 of the rectangle around its pixels within the box and its margin; infinite where there are none.
     rectangles: Vec<[f32; 4]>,
@@ -46,7 +46,7 @@ struct BoxFit {
     outline: f32,
     /// Share of the box that it fills.
     filled: f32,
-    /// IoU with the photo's own mask.
+    /// IoU with the photo's own mask; 1 where that is empty.
     own_mask: f32,
 }
 
@@ -59,13 +59,13 @@ impl BoxFit {
 }
 
 impl BoxedLeaves {
-    /// Of a photo and a tree of so many leaves. `prompt` has the pixels of `camera`; `mask` is the photo's own mask of the box, at
-    /// any size that covers the photo edge to edge.
-    pub fn of(map: &LeafMap, leaves: usize, prompt: &BoxPrompt, camera: &Camera, mask: &Mask) -> BoxedLeaves {
+    /// Of a photo and a tree of so many leaves. The box has the pixels of the map; `mask` is the photo's own mask of it, at any size
+    /// that covers the photo edge to edge. `None` where the box shows nothing of the tree.
+    pub fn of(map: &LeafMap, leaves: usize, prompt: &BoxPrompt, mask: &Mask) -> Option<BoxedLeaves> {
         let mask = mask.resized(map.width as u32, map.height as u32);
-        let scale = [map.width as f32 / camera.width as f32, map.height as f32 / camera.height as f32];
-        let scaled = |b: BoxPrompt| [b.x0 * scale[0], b.y0 * scale[1], b.x1 * scale[0], b.y1 * scale[1]];
-        let (sides, [x0, y0, x1, y1]) = (scaled(widened(prompt, 0.0)), scaled(with_margin(prompt)));
+        let (ends, wide) = (widened(prompt, 0.0), with_margin(prompt));
+        let (width, height) = (map.width as f32, map.height as f32);
+        let sides = [ends.x0.max(0.0), ends.y0.max(0.0), ends.x1.min(width), ends.y1.min(height)];
         let none = || vec![0.0; leaves];
         let (mut all, mut within, mut masked) = (none(), none(), none());
         let mut rectangles = vec![[f32::INFINITY; 4]; leaves];
@@ -73,12 +73,13 @@ impl BoxedLeaves {
             let (leaf, x, y) = (leaf as usize, (i % map.width) as f32, (i / map.width) as f32);
             all[leaf] += 1.0;
             masked[leaf] += f32::from(u8::from(mask.index(i)));
-            if (x0..x1).contains(&(x + 0.5)) && (y0..y1).contains(&(y + 0.5)) {
+            if (wide.x0..wide.x1).contains(&(x + 0.5)) && (wide.y0..wide.y1).contains(&(y + 0.5)) {
                 within[leaf] += 1.0;
                 rectangles[leaf] = around(rectangles[leaf], [x, y, -x - 1.0, -y - 1.0]);
             }
         }
-        BoxedLeaves { sides, all, within, masked, mask: mask.count() as f32, rectangles }
+        let shows = within.iter().any(|&pixels| pixels > 0.0);
+        shows.then(|| BoxedLeaves { sides, all, within, masked, mask: mask.count() as f32, rectangles })
     }
 
     /// How each group of a tree fits the box; `None` where it does not show there.
@@ -91,7 +92,7 @@ impl BoxedLeaves {
             rectangles[parent as usize] = around(rectangles[parent as usize], rectangles[node]);
         }
         let [x0, y0, x1, y1] = self.sides;
-        let area = ((x1 - x0) * (y1 - y0)).max(1.0);
+        let area = ((x1 - x0).max(0.0) * (y1 - y0).max(0.0)).max(1.0);
         let fit = |node: usize| {
             let [left, top, right, bottom] = rectangles[node];
             let both = (x1.min(-right) - x0.max(left)).max(0.0) * (y1.min(-bottom) - y0.max(top)).max(0.0);
@@ -100,7 +101,7 @@ impl BoxedLeaves {
             (within > 0.0).then(|| BoxFit {
                 outline: both / either * within / all,
                 filled: (within / area).min(1.0),
-                own_mask: masked / (all + self.mask - masked).max(1.0),
+                own_mask: if self.mask > 0.0 { masked / (all + self.mask - masked) } else { 1.0 },
             })
         };
         (0..merges.len()).map(fit).collect()
@@ -116,7 +117,7 @@ fn around(a: [f32; 4], b: [f32; 4]) -> [f32; 4] {
 pub(crate) struct BoxedGroups {
     /// The groups that they may mean, the likeliest first.
     pub groups: Vec<GroupCandidate>,
-    /// Whether the first fits all boxes.
+    /// Whether the likeliest fits all boxes.
     pub fits: bool,
 }
 
@@ -150,7 +151,6 @@ mod tests {
     use crate::scene_tree::{GroupTree, SplatGroup};
 
     const NO: u32 = NONE;
-    const CAMERA: Camera = Camera { width: 8, height: 6, fx: 8.0, fy: 8.0, cx: 4.0, cy: 3.0 };
 
     /// Leaves 0 and 1, a thing of two halves (4), stand before leaf 2 (with them 5); leaf 3 runs through all of the photo.
     fn scene() -> (SceneTree, LeafMap) {
@@ -179,7 +179,7 @@ mod tests {
         let (tree, map) = scene();
         let mask = Mask::from_fn(8, 6, |x, y| masked.contains(&map.leaves[(y * 8 + x) as usize]));
         let prompt = BoxPrompt { x0: from[0], y0: from[1], x1: to[0], y1: to[1] };
-        let boxes = [BoxedLeaves::of(&map, 4, &prompt, &CAMERA, &mask)];
+        let boxes = [BoxedLeaves::of(&map, 4, &prompt, &mask).expect("it shows leaves")];
         let BoxedGroups { groups, fits } = tree.groups_in_boxes(&boxes, TreeBoundaries::All);
         (groups[0].nodes[0].1, fits)
     }
@@ -194,29 +194,44 @@ mod tests {
     }
 
     #[test]
+    fn a_box_beyond_the_frame_ends_at_it() {
+        assert_eq!(found([-9.0, 4.0], [20.0, 5.0], &[3]), (3, true));
+    }
+
+    #[test]
     fn a_box_that_no_group_fills_or_that_cuts_through_one_fits_none() {
-        // The upper third of the photo shows a strip of the thing.
-        assert!(!found([0.0, 0.0], [8.0, 1.5], &[0]).1);
+        // A corner of the thing in much that shows nothing.
+        assert!(!found([0.0, 0.0], [8.0, 1.5], &[]).1);
         // A stretch of what runs through all of the photo.
-        let (node, fits) = found([0.0, 4.0], [2.5, 5.0], &[3]);
-        assert!(node != 3 || !fits, "{node} {fits}");
+        assert!(!found([0.0, 4.0], [2.0, 5.0], &[3]).1);
+    }
+
+    #[test]
+    fn a_photo_without_an_own_mask_says_as_much_by_its_box() {
+        assert_eq!(found([2.0, 1.0], [6.0, 4.0], &[]), (4, true));
     }
 
     #[test]
     fn several_boxes_mean_what_shows_in_all_of_them() {
         let (tree, map) = scene();
         let mask = Mask::empty(8, 6);
-        let of = |map: &LeafMap, x1: f32| {
-            let prompt = BoxPrompt { x0: 2.0, y0: 1.0, x1, y1: 4.0 };
-            BoxedLeaves::of(map, 4, &prompt, &CAMERA, &mask)
+        let of = |map: &LeafMap, side: f32, x1: f32| {
+            let prompt = BoxPrompt { x0: 2.0 * side, y0: side, x1: x1 * side, y1: 4.0 * side };
+            BoxedLeaves::of(map, 4, &prompt, &mask)
         };
         // The other photo is twice as large, and shows the left half of the thing alone.
         let leaves = (0..16 * 12).map(|i| map.leaves[i / 32 * 8 + i % 16 / 2]);
         let leaves = leaves.map(|leaf| if leaf == 1 { NO } else { leaf }).collect();
         let other = LeafMap { width: 16, height: 12, leaves };
-        let boxes = [of(&map, 6.0), of(&other, 4.0)];
-        let found = tree.groups_in_boxes(&boxes, TreeBoundaries::All);
-        assert_eq!(found.groups[0].nodes[0].1, 4);
-        assert!(tree.groups_in_boxes(&[of(&other, 6.0)], TreeBoundaries::All).groups[0].nodes[0].1 != 1);
+        let found = |boxes: &[BoxedLeaves]| {
+            tree.groups_in_boxes(boxes, TreeBoundaries::All).groups.first().map(|group| group.nodes[0].1)
+        };
+        let (whole, half) = (of(&map, 1.0, 6.0).unwrap(), of(&other, 2.0, 4.0).unwrap());
+        assert_eq!(found(&[half]), Some(0));
+        let half = of(&other, 2.0, 4.0).unwrap();
+        assert_eq!(found(&[whole, half]), Some(4));
+        // A box of nothing.
+        let nothing = LeafMap { leaves: vec![NO; map.leaves.len()], ..map };
+        assert!(of(&nothing, 1.0, 6.0).is_none());
     }
 }
