@@ -3,6 +3,7 @@
 mod common;
 
 mod baselines;
+mod boxes;
 mod carried;
 mod idle;
 mod knn;

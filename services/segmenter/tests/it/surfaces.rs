@@ -13,11 +13,11 @@ use segwild_vision::{Builtin, PromptSegmenter};
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 
-const WALL: usize = 0;
-const BLOCK: usize = 1;
+pub const WALL: usize = 0;
+pub const BLOCK: usize = 1;
 
 /// A wall, half of whose side is given, with a block before it.
-fn world(half: f32) -> TestWorld {
+pub fn world(half: f32) -> TestWorld {
     let (mut world, mut dice) = (TestWorld::default(), TestRandom(11));
     let side = (26.0 * half) as usize;
     world.wall(WALL, Vec3::new(0.0, 0.0, 4.0), half, side, [0.3, 0.4, 0.5], &mut dice);
@@ -32,7 +32,7 @@ fn scaled(world: &TestWorld, scale: f32) -> TestWorld {
     world
 }
 
-fn views(scale: f32) -> Vec<PosedView> {
+pub fn views(scale: f32) -> Vec<PosedView> {
     let at = |i: usize| Vec3::new(0.3 * (i as f32 - 4.0), 0.1 * ((i % 3) as f32 - 1.0), 0.0);
     (0..9).map(|i| posed(&format!("{i}.jpg"), at(i) * scale, Vec3::new(0.0, 0.0, 4.0) * scale)).collect()
 }
@@ -86,7 +86,7 @@ fn a_surface_is_the_same_in_other_units() {
 }
 
 /// The answer to clicks in the middle photo.
-fn answer(world: &TestWorld, prompts: Prompts) -> Segmented {
+pub fn answer(world: &TestWorld, prompts: Prompts) -> Segmented {
     let views = views(1.0);
     let tree = Arc::new(tree(world, &views));
     let photos: Vec<Image> = views.iter().map(|view| photo(world, view)).collect();
