@@ -4,7 +4,7 @@ use crate::confidence::TreeOpinion;
 use crate::graph::MOST_NEIGHBOURS;
 use crate::photo_agreement::measure;
 use crate::scene_tree::{CorrectedLeaves, GroupCandidate, SceneTree};
-use crate::tree_answer::{self, TreeAnswer};
+use crate::tree_answer::{self, TreeAnswer, refuses};
 use crate::view_splats::SplatSet;
 use crate::{
     Alternative, AnswerStep, AnswerSteps, ClickHits, MaskReader, PosedView, PromptedView, Refiner, Request,
@@ -128,11 +128,6 @@ impl AnswerSteps for TaskSteps<'_> {
     fn cancelled(&self) -> bool {
         self.task.cancel.phase() != Phase::Running || self.context.stopping()
     }
-}
-
-/// Whether all prompts are negative clicks.
-fn refuses(prompts: &Prompts) -> bool {
-    prompts.boxes.is_empty() && !prompts.points.is_empty() && prompts.points.iter().all(|p| !p.inside)
 }
 
 impl SegmentActor {

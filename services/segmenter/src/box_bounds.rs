@@ -10,7 +10,7 @@ use crate::photo_evidence::view_evidence;
 use crate::request::{PosedView, PromptedView, Request, project, view, working_camera};
 use crate::{ClickHit, Evidence, SegmentError, occlusion};
 use glam::Vec3;
-use segwild_scene::{BoxPrompt, Camera, Mask};
+use segwild_scene::{BoxPrompt, Camera, Mask, Prompts};
 
 /// How far around a box the object may reach, as a share `m_b` of the box's longer side (method, section 6.1): people draw boxes
 /// a little too small. By choice.
@@ -94,11 +94,15 @@ pub(crate) fn widened(b: &BoxPrompt, margin: f32) -> BoxPrompt {
 fn open_at_frame(b: &BoxPrompt, photo: &Camera) -> BoxPrompt {
     let (w, h) = (photo.width as f32, photo.height as f32);
     let near = FRAME_MARGIN * w.max(h);
-    let around = margin(b);
-    let low = |a: f32, b: f32| if a.min(b) <= near { f32::NEG_INFINITY } else { a.min(b) - around };
-    let high =
-        |a: f32, b: f32, end: f32| if a.max(b) >= end - near { f32::INFINITY } else { a.max(b) + around };
-    BoxPrompt { x0: low(b.x0, b.x1), y0: low(b.y0, b.y1), x1: high(b.x0, b.x1, w), y1: high(b.y0, b.y1, h) }
+    let (ends, wide) = (widened(b, 0.0), with_margin(b));
+    let low = |end: f32, wide: f32| if end <= near { f32::NEG_INFINITY } else { wide };
+    let high = |end: f32, wide: f32, side: f32| if end >= side - near { f32::INFINITY } else { wide };
+    BoxPrompt {
+        x0: low(ends.x0, wide.x0),
+        y0: low(ends.y0, wide.y0),
+        x1: high(ends.x1, wide.x1, w),
+        y1: high(ends.y1, wide.y1, h),
+    }
 }
 
 /// Whether a position in the photo's camera lies outside of its frame and of boxes that [`open_at_frame`] made.
@@ -129,6 +133,20 @@ fn bounds(prompt: &PromptedView) -> bool {
 fn holds(b: &BoxPrompt, margin: f32, x: f32, y: f32) -> bool {
     let wide = widened(b, margin);
     (wide.x0..=wide.x1).contains(&x) && (wide.y0..=wide.y1).contains(&y)
+}
+
+/// A mask of a photo without what lies outside of its box and margin, unless a positive click does. Prompts have the pixels of
+/// `camera`.
+pub(crate) fn within_box(mask: &Mask, prompts: &Prompts, camera: &Camera) -> Mask {
+    let Some(wide) = prompts.boxes.first().map(with_margin) else { return mask.clone() };
+    if prompts.points.iter().any(|point| point.inside && !holds(&wide, 0.0, point.x, point.y)) {
+        return mask.clone();
+    }
+    let (width, height) = (mask.width(), mask.height());
+    let scale = [camera.width as f32 / width as f32, camera.height as f32 / height as f32];
+    Mask::from_fn(width, height, |x, y| {
+        mask.get(x, y) && holds(&wide, 0.0, (x as f32 + 0.5) * scale[0], (y as f32 + 0.5) * scale[1])
+    })
 }
 
 /// Per splat, its visible light within and outside of the boxes and the photo's own mask, without what a transient occludes.

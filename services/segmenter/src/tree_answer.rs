@@ -1,6 +1,6 @@
 //! The first answer to prompts by the scene tree (method, section 13).
 
-use crate::box_bounds::with_margin;
+use crate::box_bounds::within_box;
 use crate::scene_tree::{
     BoxedGroups, BoxedLeaves, CorrectedLeaves, GroupCandidate, LeafClick, LeafMap, MIN_SURFACE_FRAME, NONE,
     SCENE_AREA, SURFACE_IOU, SceneSurface, SceneTree, ShownLeaves,
@@ -12,7 +12,7 @@ use crate::{
 };
 use glam::Vec2;
 use segwild_raster::{Channels, CpuEngine};
-use segwild_scene::{Camera, Image, Mask, Prompts, ScoredMask};
+use segwild_scene::{Image, Mask, Prompts, ScoredMask};
 use segwild_vision::{PromptSegmenter, VisionError};
 
 /// Votes and coverage evidence of the scene tree on each splat (method, section 13): those of so many photos that see it whole.
@@ -92,6 +92,11 @@ pub(crate) struct OutlinedPhotos<'a> {
     pub answered: Option<usize>,
     /// Their own masks, as far as they are known and to be kept where they agree with the group; may be shorter.
     pub own_masks: &'a [Option<ScoredMask>],
+}
+
+/// Whether all prompts are negative clicks.
+pub(crate) fn refuses(prompts: &Prompts) -> bool {
+    prompts.boxes.is_empty() && !prompts.points.is_empty() && prompts.points.iter().all(|p| !p.inside)
 }
 
 /// Whether a photo has several positive clicks.
@@ -367,26 +372,9 @@ impl GroupAnswer {
             let shown = shown.map(within).filter(|shown| !shown.mask.is_empty());
             masks.push(shown.map(|shown| own.filter(|own| means_same(&shown, own)).unwrap_or(shown)));
         }
-        let means =
-            |p: &Prompts| p.points.is_empty() || !p.boxes.is_empty() || p.points.iter().any(|p| p.inside);
-        let shows = prompts.iter().zip(&masks).any(|((_, p), mask)| means(p) && mask.is_some());
+        let shows = prompts.iter().zip(&masks).any(|((_, p), mask)| !refuses(p) && mask.is_some());
         Ok(shows.then_some(GroupAnswer { prior, expected_iou: expected_iou.clamp(0.0, 1.0), masks }))
     }
-}
-
-/// A group's mask without what lies outside of a box and its margin, unless a positive click does. Prompts have the pixels of
-/// `camera`.
-fn within_box(mask: &Mask, prompts: &Prompts, camera: &Camera) -> Mask {
-    let Some(wide) = prompts.boxes.first().map(with_margin) else { return mask.clone() };
-    let holds = |x: f32, y: f32| (wide.x0..=wide.x1).contains(&x) && (wide.y0..=wide.y1).contains(&y);
-    if prompts.points.iter().any(|point| point.inside && !holds(point.x, point.y)) {
-        return mask.clone();
-    }
-    let (width, height) = (mask.width(), mask.height());
-    let scale = [camera.width as f32 / width as f32, camera.height as f32 / height as f32];
-    Mask::from_fn(width, height, |x, y| {
-        mask.get(x, y) && holds((x as f32 + 0.5) * scale[0], (y as f32 + 0.5) * scale[1])
-    })
 }
 
 /// The mask of a group in which a model finds nothing, such as a small one: the pixels that it makes up half as much of as any.

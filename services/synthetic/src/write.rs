@@ -156,22 +156,25 @@ fn held_truth(
     photos: &[PhotoRecord],
 ) -> Result<Option<TruthBuilder>, SceneError> {
     let (whole_path, path) = (dir.join("truth.json"), dir.join(UNFINISHED));
-    // Both are read before anything is removed.
+    // Both are read and checked before anything is removed.
     let whole = held_set::<Manifest>(&whole_path)?;
     let unfinished = held_set::<UnfinishedSet>(&path)?;
-    if let Some(set) = &unfinished
-        && !set.truth.is_sound()
-    {
-        return Err(refusal(&path, "its objects and photos do not fit together"));
-    }
+    let listed = |UnfinishedSet { options, truth, .. }: &UnfinishedSet| {
+        if !truth.is_sound() {
+            return Err(refusal(&path, "its objects and photos do not fit together"));
+        }
+        let manifest = truth.clone().manifest(options, &[]);
+        check_listed(&path, &manifest).map(|()| manifest)
+    };
+    let manifest = unfinished.as_ref().map(listed).transpose()?;
     if let Some(held) = whole.filter(|held| held.options != *options) {
         let names = held.photos.iter().map(|photo| photo.name.clone()).collect();
         forget(dir, &whole_path, &held, names)?;
     }
-    let Some(UnfinishedSet { version, options: held_options, truth }) = unfinished else { return Ok(None) };
+    let Some((set, manifest)) = unfinished.zip(manifest) else { return Ok(None) };
+    let UnfinishedSet { version, options: held_options, truth } = set;
     let is_same = version == VERSION && held_options == *options && truth.instances() == instances;
     let names: Vec<String> = truth.photo_names().map(str::to_owned).collect();
-    let manifest = truth.clone().manifest(&held_options, &[]);
     let is_there = |(name, photo): (&String, &PhotoRecord)| {
         *name == photo.name && files_of(name, &manifest).all(|file| dir.join(file).is_file())
     };

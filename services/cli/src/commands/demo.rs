@@ -185,8 +185,7 @@ fn write_photos(options: &SyntheticOptions, dir: &Path, json: bool) -> Result<Ma
 }
 
 /// Writes a set until it is stopped; after each photo `report` receives how many there are. Where it was stopped before the
-/// first, the folder stays as it is:
-/// it may hold another set, which [`SyntheticPlan::write`] removes.
+/// first, the folder stays as it is: it may hold another set, which [`SyntheticPlan::write`] removes.
 fn write_until(
     plan: &SyntheticPlan,
     dir: &Path,

@@ -20,8 +20,7 @@ const FILL_WEIGHT: f32 = 0.1;
 const FLOOR: f32 = 1e-3;
 
 /// How well a group fits its boxes at least, as a product of shares: under that the photos' own masks are more like what is meant
-/// (method, section 13). From
-/// docs/experiments/2026-11-30-boxes-by-the-tree.md.
+/// (method, section 13). From docs/experiments/2026-11-30-boxes-by-the-tree.md.
 const MIN_BOX_FIT: f32 = 0.4;
 
 /// What a photo shows within a box.
