@@ -274,8 +274,12 @@ test("a click in the 3D view goes to the photo that shows it best", async t => {
   await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
   await until(page, outlined);
   t.diagnostic(`${Math.round(await page.evaluate(() => /** @type {any} */ (window).segwild.times.hover_scene))} ms`);
-  await page.evaluate(() => /** @type {any} */ (window).segwild.scenePane.orbit(0.01, 0));
-  assert.ok(!await page.evaluate(outlined));
+  // In one step of the page: a pointer at rest gets its candidate again within the time that a busy machine takes for two.
+  const left = await page.evaluate(() => {
+    /** @type {any} */ (window).segwild.scenePane.orbit(0.01, 0);
+    return /** @type {HTMLCanvasElement} */ (document.getElementById("scene-candidate")).width;
+  });
+  assert.equal(left, 1);
   await until(page, outlined);
   await page.mouse.click(box.x + box.width / 2, box.y + box.height / 2);
   await answered(page);
