@@ -15,7 +15,7 @@ use segwild_flow::{Actor, ActorFailure, Context, Idle, Message, Phase, Sender, S
 use segwild_objective::Engine;
 use segwild_raster::ProjectOptions;
 use segwild_scene::{Image, Mask, Prompts, ReaderError, ScoredMask, Splats};
-use segwild_vision::{PromptSegmenter, Prompted};
+use segwild_vision::{PromptSegmenter, Prompted, VisionError};
 use std::collections::HashMap;
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -238,8 +238,10 @@ impl SegmentActor {
         let expected_iou = group.as_ref().map(|group| group.expected_iou);
         let request = Request { prompts: &prompted, prior, ..blank };
         let refiner = PhotoRefiner { actor: self, context, prepared: Mutex::default() };
-        let selection = select(&request, Some(&refiner))?;
+        let mut selection = select(&request, Some(&refiner))?;
         let cut = cut(&request, &selection)?;
+        // Nothing else reads what each view sees, and answers are kept.
+        selection.visits.iter_mut().for_each(|visit| visit.visibility = Vec::new());
         // The object is complete. The receiver may be late: the last answer has it as well.
         let _ = task.reply.try_send(SegmentReply::Selected(selection.labels.clone(), cut.clone()));
         let masks = match group {
@@ -295,7 +297,14 @@ impl Refiner for PhotoRefiner<'_> {
         let read = self.prepared().remove(&view);
         let photo = read.or_else(|| self.read(view))?;
         let wide = certainty.resized(photo.width, photo.height);
-        let (mask, predicted_iou) = self.actor.segmenter.refined_mask(&photo, &wide).ok()?;
+        let refined = self.actor.segmenter.refined_mask(&photo, &wide);
+        // A photo in which the model finds nothing is an answer; a model that fails is none.
+        if let Err(error) = &refined
+            && !matches!(error, VisionError::Image(_))
+        {
+            tracing::warn!("view {view} takes no part in an answer: {error}");
+        }
+        let (mask, predicted_iou) = refined.ok()?;
         Some((mask, predicted_iou.clamp(0.0, 1.0)))
     }
 

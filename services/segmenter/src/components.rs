@@ -19,8 +19,8 @@ const SUPPORT_SHARE: f64 = 0.7;
 
 /// Removes the parts that hold only negative clicks, and those that hold no positive click. A part without a click stays if
 /// it holds `share` of the selection's `evidence` (splats that no photo saw count nothing), or if `others`, the evidence
-/// of photos without clicks, supports it ([`SUPPORT_SHARE`]). Where no click lies in any part, the part with most evidence
-/// stays. Returns how many parts were removed.
+/// of photos without clicks, supports it ([`SUPPORT_SHARE`]). Where none stays, the part with most evidence
+/// stays; without positive clicks it always does. Returns how many parts were removed.
 pub(crate) fn keep_clicked(
     graph: &NeighbourGraph,
     splats: &Splats,
@@ -57,7 +57,8 @@ pub(crate) fn keep_clicked(
     let large = |p: usize| weight[p] >= f64::from(share) * total;
     let mut stays: Vec<bool> =
         (0..parts).map(|p| clicked[p] || (!refused[p] && (large(p) || supported[p]))).collect();
-    if !clicked.contains(&true) && !stays.contains(&true) {
+    // Boxes name no part: a negative click beside them may show the object behind what it means.
+    if !clicked.contains(&true) && (positive.is_empty() || !stays.contains(&true)) {
         let heaviest = (0..parts).fold(0, |best, p| if weight[p] > weight[best] { p } else { best });
         stays[heaviest] = true;
     }
@@ -84,4 +85,34 @@ fn supported(evidence: &Evidence, part: &[Option<u32>], parts: usize) -> Vec<boo
             seen >= SUPPORT_VIEWS * f64::from(splats) && inside >= SUPPORT_SHARE * known
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_negative_click_beside_a_box_takes_no_part_but_small_ones() {
+        // A body of 30 splats, a base of 10, and 5 that came along.
+        let ends = [30, 40, 45];
+        let means: Vec<[f32; 3]> = (0..45)
+            .map(|i| {
+                let part = ends.iter().filter(|end| i >= **end).count();
+                [0.1 * (i % 6) as f32 + 50.0 * part as f32, 0.1 * (i / 6) as f32, 0.0]
+            })
+            .collect();
+        let splats = Splats { means, ..Splats::default() };
+        let graph = NeighbourGraph::new(&splats, 4);
+        let mut evidence = Evidence::none(45);
+        evidence.inside.fill(1.0);
+        let negative = |splat: u32| [ClickHit { splats: vec![(splat, 0.5)], alpha: 0.9 }];
+        let kept = |negative: &[ClickHit]| {
+            let mut labels = vec![true; 45];
+            keep_clicked(&graph, &splats, &mut labels, &evidence, None, (&[], negative), 0.05);
+            [0, 30, 40].map(|splat: usize| labels[splat])
+        };
+        assert_eq!(kept(&[]), [true; 3]);
+        assert_eq!(kept(&negative(2)), [true; 3], "the object shows behind what was clicked");
+        assert_eq!(kept(&negative(42)), [true, true, false]);
+    }
 }

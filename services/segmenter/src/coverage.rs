@@ -61,7 +61,7 @@ impl Evidence {
         (known > 0.0 && known >= least).then_some(inside * (1.0 - rho) >= (outside + gamma) * rho)
     }
 
-    /// How well one view sees each splat, in 1/255 of a view that sees it whole and large (rounded).
+    /// How well one view sees each splat, in 1/255 of full weight ([`Evidence::seen`], rounded).
     pub(crate) fn visibility(&self) -> Vec<u8> {
         (0..self.inside.len()).map(|i| (255.0 * self.seen(i).clamp(0.0, 1.0)).round() as u8).collect()
     }

@@ -39,7 +39,7 @@ pub struct MaskVote<'a> {
     pub pose: Pose,
     /// The object's pixels.
     pub mask: &'a Mask,
-    /// How well the photo sees each splat, in 1/255 of a photo that sees it whole.
+    /// How well the photo sees each splat, in 1/255 of full weight.
     pub visibility: &'a [u8],
     /// Weight of the photo.
     pub weight: f32,

@@ -77,7 +77,7 @@ pub struct PhotoVisit {
     pub mask: Option<Mask>,
     /// The refined mask, where it does not count.
     pub refused: Option<Mask>,
-    /// How well the view sees each splat, in 1/255 of a view that sees it whole; empty where the mask does not count.
+    /// How well the view sees each splat, in 1/255 of full weight; empty where the mask does not count, and once spikes are cut.
     pub visibility: Vec<u8>,
 }
 
@@ -157,7 +157,7 @@ pub(crate) fn propagate(
 }
 
 fn first_round<'s>(
-    request: &Request,
+    request: &'s Request<'s>,
     fusion: &LabelFusion,
     mut state: FusionState,
     refiner: &'s dyn Refiner,
@@ -194,7 +194,9 @@ fn first_round<'s>(
                     let done = Arc::new(AtomicBool::new(false));
                     ahead.push((view, done.clone()));
                     scope.spawn(move |_| {
-                        refiner.prepare(view);
+                        if request.wanted().is_ok() {
+                            refiner.prepare(view);
+                        }
                         done.store(true, Ordering::Release);
                     });
                 }

@@ -75,11 +75,12 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
     for prompt in request.prompts {
         prompted.add(&prompted_evidence(request, prompt)?, settings.prompt_weight);
     }
+    // The masks alone say how well an answer agrees with the prompts: what the scene tree says, and what a box leaves out, weigh
+    // too much for that.
+    let masks = prompted.clone();
     if let Some(prior) = request.prior {
         prompted.add(prior, 1.0);
     }
-    // The masks alone say how well an answer agrees with the prompts: what a box leaves out weighs too much for that.
-    let masks = prompted.clone();
     prompted.add(&against, 1.0);
     let similarities = similarities(request, &prompted, &positive, &negative)?;
     // Where masks take no part, there is nothing to carry to other photos.
@@ -165,7 +166,6 @@ fn labelled(
         let (all, others) = (&state.evidence, state.evidence.minus(prompted));
         parts_removed =
             components::keep_clicked(graph, splats, &mut labels, all, Some(&others), fusion.hits, share);
-        none_left(&labels, "every connected part holds a negative click")?;
     }
     Ok(Labelled { labels, parts_removed })
 }

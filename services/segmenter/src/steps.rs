@@ -25,5 +25,5 @@ pub trait AnswerSteps: Sync {
     fn cancelled(&self) -> bool;
 }
 
-/// Numbers of photos after which an answer is published.
+/// Photos after which an earlier answer is published, and after which the photos are selected anew.
 pub(crate) const PUBLISHED_AFTER: usize = 8;

@@ -2,8 +2,8 @@
 
 use crate::box_bounds::within_box;
 use crate::scene_tree::{
-    BoxedGroups, BoxedLeaves, CorrectedLeaves, GroupCandidate, LeafClick, LeafMap, MIN_SURFACE_FRAME, NONE,
-    SCENE_AREA, SURFACE_IOU, SceneSurface, SceneTree, ShownLeaves,
+    BoxedGroups, BoxedLeaves, CorrectedLeaves, GroupCandidate, LeafClick, LeafMap, NONE, SCENE_AREA,
+    SURFACE_IOU, SceneSurface, SceneTree, ShownLeaves,
 };
 use crate::select::hits;
 use crate::{
@@ -24,9 +24,6 @@ const CORRECTION_VOTE: f32 = 16.0;
 
 /// IoU of a group with the own mask of a photo with a box or several positive clicks from which both mean the same. By choice.
 const MIN_AGREEMENT: f64 = 0.5;
-
-/// Share of a group's light on a surface from which the group is a piece of it (method, section 13). By choice.
-const MIN_SHARE_ON_SURFACE: f32 = 0.5;
 
 /// Something that prompts may select.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -96,7 +93,7 @@ pub(crate) struct OutlinedPhotos<'a> {
 
 /// Whether all prompts are negative clicks.
 pub(crate) fn refuses(prompts: &Prompts) -> bool {
-    prompts.boxes.is_empty() && !prompts.points.is_empty() && prompts.points.iter().all(|p| !p.inside)
+    !prompts.points.is_empty() && !prompts.say_where()
 }
 
 /// Whether a photo has several positive clicks.
@@ -149,12 +146,10 @@ pub(crate) fn answer(
     }
     let surface = start.surface.filter(|_| has_surfaces);
     let all_on_it = corrections.iter().all(|click| click.surface == start.surface);
-    // What the photos' frames cut off is no thing on the surface, nor is a piece of it.
-    let is_thing = |first: &GroupCandidate, surface: usize| {
-        tree.frame_of(first) < MIN_SURFACE_FRAME
-            && tree.share_on(first, &tree.surfaces[surface]) < MIN_SHARE_ON_SURFACE
-    };
-    let may_be_thing = found.first().zip(surface).is_some_and(|(first, surface)| is_thing(first, surface));
+    let may_be_thing = found
+        .first()
+        .zip(surface)
+        .is_some_and(|(first, surface)| tree.is_thing_on(first, &tree.surfaces[surface]));
     let on_surface = surface.is_some() && (all_on_it || !together) && !may_be_thing;
     if is_scene && !corrections.is_empty() && !on_surface {
         // The click alone was answered by its photo: what is corrected is the group most like that.
@@ -186,7 +181,7 @@ pub(crate) fn answer(
     }
     let answered = (is_scene && !on_surface).then_some(prompt);
     let outlined = OutlinedPhotos { prompted: clicks, photos, segmenter, answered, own_masks: &[] };
-    answer_by(request, tree, &candidates, &corrections, &outlined)
+    answer_by(request, tree, &candidates, (Some(&start), &corrections), &outlined)
 }
 
 /// The tree's answer to boxes, with their photos: the group that they are drawn around, corrected by the clicks. The photos' own
@@ -234,17 +229,17 @@ fn answer_to_boxes(
     let photo_at = usize::from(fits && !segmenter.finds_objects());
     candidates.insert(photo_at, Candidate::Photo);
     let outlined = OutlinedPhotos { prompted, photos, segmenter, answered: None, own_masks: &own_masks };
-    let answer = answer_by(request, tree, &candidates, &corrections, &outlined)?;
+    let answer = answer_by(request, tree, &candidates, (None, &corrections), &outlined)?;
     // A group that does not fit the box is no other opinion of it.
     Ok(if fits { answer } else { TreeAnswer { other: None, ..answer } })
 }
 
-/// The answer by the candidate that the settings choose, corrected by clicks.
+/// The answer by the candidate that the settings choose, corrected by clicks. `first`: the click that chose the candidates.
 fn answer_by(
     request: &Request,
     tree: &SceneTree,
     candidates: &[Candidate],
-    corrections: &[LeafClick],
+    (first, corrections): (Option<&LeafClick>, &[LeafClick]),
     outlined: &OutlinedPhotos,
 ) -> Result<TreeAnswer, SegmentError> {
     let named = |candidate: &Candidate| match candidate {
@@ -255,7 +250,7 @@ fn answer_by(
     let alternatives = candidates.iter().map(named).collect();
     let chosen_at = (candidates.len() - 1).min(request.settings.alternative as usize);
     let mut others = candidates.iter().enumerate().filter(|(at, _)| *at != chosen_at);
-    let corrected = |leaves| tree.corrected(leaves, corrections);
+    let corrected = |leaves| tree.corrected(leaves, first, corrections);
     let other =
         others.find_map(|(_, other)| other.leaves(tree)).map(|(leaves, _)| corrected(leaves).selected);
     let Some((leaves, expected_iou)) = candidates[chosen_at].leaves(tree) else {
@@ -279,6 +274,7 @@ fn leaf_clicks(
     let mut found = Vec::new();
     for (number, (view, prompts)) in clicks.iter().enumerate() {
         for point in &prompts.points {
+            request.wanted()?;
             let points = std::slice::from_ref(point);
             let prompt =
                 PromptedView { view: *view, mask: &nothing, open: None, refused: false, points, boxes: &[] };
@@ -370,6 +366,7 @@ impl GroupAnswer {
                 ..shown
             };
             let shown = shown.map(within).filter(|shown| !shown.mask.is_empty());
+            let own = own.map(within);
             masks.push(shown.map(|shown| own.filter(|own| means_same(&shown, own)).unwrap_or(shown)));
         }
         let shows = prompts.iter().zip(&masks).any(|((_, p), mask)| !refuses(p) && mask.is_some());

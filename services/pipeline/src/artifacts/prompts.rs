@@ -2,7 +2,7 @@
 
 use crate::settings::is_removed;
 use crate::{RunError, RunFolder};
-use segwild_scene::{PointPrompt, Prompts, SceneError};
+use segwild_scene::{BoxPrompt, PointPrompt, Prompts, SceneError};
 use segwild_segmenter::{SegmentError, SegmentSettings};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -109,8 +109,7 @@ fn without_removed(mut file: Value) -> Value {
     file
 }
 
-/// Most clicks and boxes of one selection. A person gives a handful, and a scribble is some hundreds; each costs a mask
-/// of its own.
+/// Most clicks and boxes of one selection. A person gives a handful, and a scribble is some hundreds.
 const MOST: usize = 10_000;
 
 /// Refuses prompts that cannot select an object on any photo.
@@ -122,9 +121,7 @@ pub(crate) fn check_all(prompts: &[PhotoPrompts]) -> Result<(), RunError> {
         )));
     }
     prompts.iter().try_for_each(PhotoPrompts::check)?;
-    let says_where =
-        |p: &PhotoPrompts| !p.prompts.boxes.is_empty() || p.prompts.points.iter().any(|p| p.inside);
-    if !prompts.is_empty() && !prompts.iter().any(says_where) {
+    if !prompts.is_empty() && !prompts.iter().any(|p| p.prompts.say_where()) {
         return Err(RunError::Request(
             "all clicks mark where the object is not: mark with a click or a box where it is".into(),
         ));
@@ -149,6 +146,10 @@ impl PhotoPrompts {
         }
         if let Some(p) = both {
             return refuse(format!("({}, {}) is marked both inside and outside", p.x, p.y));
+        }
+        let sides = |b: &BoxPrompt| [b.x0, b.y0, b.x1, b.y1];
+        if let Some(b) = boxes.iter().find(|b| sides(b).iter().any(|side| !side.is_finite())) {
+            return refuse(format!("the box {:?} has a side that is no position", sides(b)));
         }
         if let Some(b) = boxes.iter().find(|b| b.x0 == b.x1 || b.y0 == b.y1) {
             return refuse(format!("the box {},{},{},{} holds nothing", b.x0, b.y0, b.x1, b.y1));

@@ -104,7 +104,10 @@ impl TreeSource<'_> {
             }
             seen = true;
         }
-        if !seen || stopping() {
+        if stopping() {
+            return Err(RunError::Interrupted);
+        }
+        if !seen {
             return Ok(None);
         }
         let tree = builder.grow();

@@ -341,8 +341,20 @@ impl Session {
             }
             (None, None) => {
                 check_all(&replay.prompts)?;
-                let queries = replay.prompts.iter().map(|p| self.query(p));
-                (queries.collect::<Result<Vec<_>, _>>()?, None)
+                let mut queries: Vec<(usize, Prompts)> = Vec::new();
+                for (view, mut prompts) in
+                    replay.prompts.iter().map(|p| self.query(p)).collect::<Result<Vec<_>, _>>()?
+                {
+                    // A photo that is named twice is one photo.
+                    match queries.iter_mut().find(|(other, _)| *other == view) {
+                        Some((_, all)) => {
+                            all.points.append(&mut prompts.points);
+                            all.boxes.append(&mut prompts.boxes);
+                        }
+                        None => queries.push((view, prompts)),
+                    }
+                }
+                (queries, None)
             }
         };
         if prompts.is_empty() {
@@ -397,7 +409,13 @@ impl Session {
                 p.photo
             ))
         })?;
+        let Some(framed) = inner.within(full.width as f32, full.height as f32) else {
+            return Err(RunError::Request(format!(
+                "photo {}: a box lies outside of it ({} x {} pixels)",
+                p.photo, full.width, full.height
+            )));
+        };
         let (sx, sy) = (small.width as f32 / full.width as f32, small.height as f32 / full.height as f32);
-        Ok((index, inner.scaled(sx, sy)))
+        Ok((index, framed.scaled(sx, sy)))
     }
 }

@@ -41,7 +41,7 @@ pub(crate) struct BoxedLeaves {
 
 /// How a group fits a box, in shares.
 struct BoxFit {
-    /// IoU of the box with the rectangle around the group, times the share of the group that is within the box and its margin.
+    /// IoU of the box with the rectangle around the group's pixels within the box and its margin, times their share of the group.
     outline: f32,
     /// Share of the box that it fills.
     filled: f32,

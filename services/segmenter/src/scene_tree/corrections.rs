@@ -138,11 +138,18 @@ impl SceneTree {
         groups.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, group)| group)
     }
 
-    /// Corrects a selection of leaves by clicks, one after the other. No part contradicts any of them.
-    pub fn corrected(&self, selected: Vec<bool>, clicks: &[LeafClick]) -> CorrectedLeaves {
+    /// Corrects a selection of leaves by clicks, one after the other. No part contradicts any of them, nor `first`: the click that
+    /// chose the selection, which corrects nothing.
+    pub fn corrected(
+        &self,
+        selected: Vec<bool>,
+        first: Option<&LeafClick>,
+        clicks: &[LeafClick],
+    ) -> CorrectedLeaves {
         let mut now = CorrectedLeaves::uncorrected(selected);
+        let all: Vec<&LeafClick> = first.into_iter().chain(clicks).collect();
         for click in clicks {
-            let part = self.part_at(&now.selected, click, clicks);
+            let part = self.part_at(&now.selected, click, &all);
             for (leaf, _) in part.iter().enumerate().filter(|(_, inside)| **inside) {
                 now.selected[leaf] = click.inside;
                 now.decided[leaf] = true;
@@ -154,7 +161,7 @@ impl SceneTree {
     /// The part that a click means: of the groups that hold it, no click of the other kind and mostly what is wrong, and of what is
     /// wrong on the surface that it hits, the one that is likely a thing and has the click in its middle. Where nothing is wrong
     /// there, or nothing is such a part, the smallest group.
-    fn part_at(&self, selected: &[bool], click: &LeafClick, clicks: &[LeafClick]) -> Vec<bool> {
+    fn part_at(&self, selected: &[bool], click: &LeafClick, clicks: &[&LeafClick]) -> Vec<bool> {
         let leaves = selected.len();
         let is_wrong = |leaf: usize| selected[leaf] != click.inside;
         // Leaves have the same light in all trees.

@@ -36,5 +36,4 @@ pub use parts::{MOST_PARTS, PartMap, SceneParts};
 pub use query::GroupCandidate;
 pub(crate) use query::{SCENE_AREA, SURFACE_IOU};
 pub use segwild_vision::linkage::MergeTree;
-pub(crate) use surfaces::MIN_SURFACE_FRAME;
 pub use tree::{GroupTree, NONE, SceneSurface, SceneTree, SplatGroup};

@@ -1,5 +1,6 @@
 //! Clicks against the scene tree: from what they hit to ranked groups of splats (method, section 13).
 
+use super::surfaces::MIN_SURFACE_FRAME;
 use super::tree::{GAP, Growth, PHOTO, TREES};
 use super::{GroupTree, MergeTree, NONE, SceneSurface, SceneTree};
 use crate::{ClickHit, TreeBoundaries};
@@ -85,6 +86,10 @@ const RANK: GroupWeights = GroupWeights {
 
 /// Added to the normalised cut before its logarithm is taken; part of the fit. Half and half more changed no measured click.
 const CUT_FLOOR: f32 = 1e-3;
+
+/// Share of a group's light on a surface from which the group is a piece of it, unless its expected IoU is above
+/// [`SURFACE_IOU`] (method, section 13). By choice.
+const MIN_SHARE_ON_SURFACE: f32 = 0.5;
 
 /// A group that a query may select.
 #[derive(Clone, Debug, PartialEq)]
@@ -203,13 +208,20 @@ impl SceneTree {
     }
 
     /// The largest share of the outlines of a candidate's nodes that lies on the photos' frames.
-    pub(crate) fn frame_of(&self, candidate: &GroupCandidate) -> f32 {
+    fn frame_of(&self, candidate: &GroupCandidate) -> f32 {
         let frames = candidate.nodes.iter().map(|&(tree, node)| self.trees[tree].groups[node as usize].frame);
         frames.fold(0.0, f32::max)
     }
 
+    /// Whether a candidate is a thing of its own where a click hits a surface. What the photos' frames cut off is none, nor is a piece
+    /// of the surface, unless it is likelier a thing than the surface is what is meant: a pediment lies on its front.
+    pub(crate) fn is_thing_on(&self, candidate: &GroupCandidate, surface: &SceneSurface) -> bool {
+        self.frame_of(candidate) < MIN_SURFACE_FRAME
+            && (candidate.score > SURFACE_IOU || self.share_on(candidate, surface) < MIN_SHARE_ON_SURFACE)
+    }
+
     /// Share of a candidate's light that lies on a surface.
-    pub(crate) fn share_on(&self, candidate: &GroupCandidate, surface: &SceneSurface) -> f32 {
+    fn share_on(&self, candidate: &GroupCandidate, surface: &SceneSurface) -> f32 {
         let (leaves, on) = (self.leaves_of(candidate), self.leaves_on(surface));
         // Leaves have the same light in all trees.
         let light = self.trees.first().map_or(&[][..], |tree| &tree.groups[..]);
@@ -314,5 +326,23 @@ mod tests {
         assert_eq!(found[0].nodes, [(0, 0)]);
         assert_eq!(found[1].nodes, [(0, 3)]);
         assert!(found[0].score < found[1].score, "{found:?}");
+    }
+
+    #[test]
+    fn a_pediment_is_a_thing_on_its_front_and_a_slab_of_the_ground_is_none() {
+        let merges =
+            MergeTree { leaves: 3, parent: vec![3, 3, 4, 4, 4], height: vec![0.0, 0.0, 0.0, 0.9, 1.0] };
+        let group = |area, frame| SplatGroup { area, frame, ..SplatGroup::default() };
+        let groups =
+            vec![group(0.2, 0.02), group(0.5, 0.3), group(0.3, 0.02), group(0.7, 0.2), group(1.0, 0.3)];
+        let trees = vec![GroupTree { merges, groups }];
+        let surface =
+            SceneSurface { leaves: vec![0, 1], facing: vec![0, 1], area: 0.7, frame: 0.2, farther: 0.5 };
+        let tree = SceneTree { leaf: vec![0, 1, 2], trees, surfaces: vec![surface], shown_by: vec![1; 3] };
+        let candidate = |node, score| GroupCandidate { nodes: vec![(0, node)], score, area: 0.2 };
+        let is_thing = |node, score| tree.is_thing_on(&candidate(node, score), &tree.surfaces[0]);
+        assert!(is_thing(0, 0.6) && !is_thing(0, 0.3), "it lies on the surface");
+        assert!(is_thing(2, 0.3), "it lies elsewhere");
+        assert!(!is_thing(1, 0.6), "the frames cut it off");
     }
 }

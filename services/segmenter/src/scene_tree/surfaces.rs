@@ -28,7 +28,7 @@ const MIN_SURFACE_AREA: f32 = 0.05;
 
 /// Least share of its outline that lies on the photos' frames (method, section 13). From
 /// docs/experiments/2026-11-30-surfaces.md.
-pub(crate) const MIN_SURFACE_FRAME: f32 = 0.1;
+pub(super) const MIN_SURFACE_FRAME: f32 = 0.1;
 
 /// Least share of the occlusions at its outline in which it is the farther side, less that in which it is the nearer one (method,
 /// section 13). From docs/experiments/2026-11-30-surfaces.md.

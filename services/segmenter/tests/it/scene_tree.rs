@@ -150,13 +150,13 @@ fn a_further_click_adds_or_takes_out_its_part_and_leaves_the_rest() {
     let click = |at: Vec3, inside: bool| click(&tree, &world, &views[4], at, inside);
     let all = vec![true; tree.trees[0].merges.leaves];
     // Too much: the block goes, the wall with its print stays.
-    let without = tree.corrected(all.clone(), &[click(BLOCK, false)]);
+    let without = tree.corrected(all.clone(), None, &[click(BLOCK, false)]);
     let labels = tree.splats_of(&without.selected);
     assert!(world.share(1, &labels) < 0.2, "{}", world.share(1, &labels));
     assert!(world.share(0, &labels) > 0.9 && world.share(2, &labels) > 0.9);
     // Too little: the print comes to the wall.
-    let missing = tree.corrected(all, &[click(PRINT, false)]);
-    let added = tree.corrected(missing.selected.clone(), &[click(PRINT, true)]);
+    let missing = tree.corrected(all, None, &[click(PRINT, false)]);
+    let added = tree.corrected(missing.selected.clone(), None, &[click(PRINT, true)]);
     let [before, after] = [&missing, &added].map(|c| world.share(2, &tree.splats_of(&c.selected)));
     assert!(before < 0.5 && after > before + 0.3, "{before}, then {after}");
     assert!(added.decided.iter().any(|decided| *decided) && !added.decided.iter().all(|decided| *decided));
@@ -171,11 +171,23 @@ fn no_click_contradicts_another_one() {
     let nothing = vec![false; tree.trees[0].merges.leaves];
     for order in [[0, 1, 2], [2, 1, 0], [1, 0, 2]] {
         let clicks = order.map(|at| clicks[at].clone());
-        let corrected = tree.corrected(nothing.clone(), &clicks);
+        let corrected = tree.corrected(nothing.clone(), None, &clicks);
         for click in &clicks {
             assert_eq!(corrected.selected[click.leaf as usize], click.inside, "{order:?}");
         }
     }
+}
+
+#[test]
+fn a_negative_click_leaves_the_part_of_the_first_click() {
+    let (world, views) = (wall_scene(), cameras(1.0));
+    let tree = tree(&world, &views, 0);
+    let click = |at: Vec3, inside: bool| click(&tree, &world, &views[4], at, inside);
+    let (first, negative) = (click(PRINT, true), click(WALL, false));
+    let all = vec![true; tree.trees[0].merges.leaves];
+    let corrected = tree.corrected(all, Some(&first), std::slice::from_ref(&negative));
+    assert!(corrected.selected[first.leaf as usize] && !corrected.decided[first.leaf as usize]);
+    assert!(!corrected.selected[negative.leaf as usize]);
 }
 
 #[test]

@@ -167,11 +167,11 @@ fn what_came_along_of_a_surface_goes_with_one_click() {
         (0..wall.len()).map(|leaf| of_block(leaf) || wall[leaf] && leaf % 30 == 0).collect();
     let leaf = (0..wall.len()).find(|&leaf| selected[leaf] && wall[leaf]).expect("one came along") as u32;
     let negative = LeafClick { leaf, surface: Some(0), inside: false, shown: None };
-    let kept = tree.corrected(selected.clone(), std::slice::from_ref(&negative)).selected;
+    let kept = tree.corrected(selected.clone(), None, std::slice::from_ref(&negative)).selected;
     assert!((0..wall.len()).all(|leaf| kept[leaf] == (selected[leaf] && !wall[leaf])));
     // One that hits no surface takes its part alone.
     let alone = LeafClick { surface: None, ..negative };
-    let kept = tree.corrected(selected, &[alone]).selected;
+    let kept = tree.corrected(selected, None, &[alone]).selected;
     assert!(kept.iter().zip(&wall).any(|(kept, wall)| *kept && *wall));
 }
 

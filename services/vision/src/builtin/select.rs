@@ -62,7 +62,7 @@ impl Meant {
             let click = SuperpixelClick { leaf, at: [x, y], inside: p.inside };
             if p.inside { positive.push(click) } else { negative.push(click) }
         }
-        if positive.is_empty() && prompts.boxes.is_empty() {
+        if !prompts.say_where() {
             return Err(VisionError::Image(
                 "nothing says what is wanted: give a click inside the object or a box".into(),
             ));

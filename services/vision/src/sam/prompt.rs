@@ -32,7 +32,7 @@ pub(super) fn groups(image: &Image, prompts: &Prompts) -> Result<Vec<PromptGroup
             p.x, p.y
         )));
     }
-    if prompts.boxes.is_empty() && !prompts.points.iter().any(|p| p.inside) {
+    if !prompts.say_where() {
         return Err(VisionError::Image(
             "nothing says what is wanted: give a click inside the object or a box".into(),
         ));
