@@ -104,7 +104,7 @@ pub(crate) fn bin(
     let view = ViewUniform {
         rows: [row(0), row(1), row(2)],
         lens: [camera.fx, camera.fy, camera.cx, camera.cy],
-        limits: jacobian_limits(camera),
+        limits: options.jacobian_limits.unwrap_or_else(|| jacobian_limits(camera)),
         options: [options.low_pass, f32::from(u8::from(options.antialias)), options.near, 0.0],
         frame: [camera.width, camera.height, columns, rows],
     };

@@ -62,11 +62,14 @@ pub struct ProjectOptions {
     pub antialias: bool,
     /// Splats nearer than this are culled; in scene units.
     pub near: f32,
+    /// Range of x/z (first two) and of y/z in which the Jacobian follows the perspective; `None` for that of the camera
+    /// ([`jacobian_limits`](crate::jacobian_limits)). In a cut-out of a photo splats look as in the photo by the photo's limits.
+    pub jacobian_limits: Option<[f32; 4]>,
 }
 
 impl Default for ProjectOptions {
     fn default() -> Self {
-        ProjectOptions { low_pass: 0.3, antialias: false, near: segwild_scene::NEAR }
+        ProjectOptions { low_pass: 0.3, antialias: false, near: segwild_scene::NEAR, jacobian_limits: None }
     }
 }
 

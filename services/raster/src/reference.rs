@@ -135,7 +135,10 @@ impl Reference {
         }
         let raw = DVec2::new(cam.x, cam.y) / cam.z;
         let limit = |f: f64, c: f64, side: f64| ((-0.15 * side - c) / f, (1.15 * side - c) / f);
-        let (lx, ly) = (limit(fx, cx, width), limit(fy, cy, height));
+        let (lx, ly) = match self.options.jacobian_limits.map(|limits| limits.map(f64::from)) {
+            Some([x0, x1, y0, y1]) => ((x0, x1), (y0, y1)),
+            None => (limit(fx, cx, width), limit(fy, cy, height)),
+        };
         let tan = DVec2::new(raw.x.clamp(lx.0, lx.1), raw.y.clamp(ly.0, ly.1));
         let jacobian = [
             DVec3::new(fx / cam.z, 0.0, -fx * tan.x / cam.z),

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use segwild_flow::lock;
 use segwild_objective::FieldBackend;
 use segwild_objective::field::{Queries, dot, score};
-use segwild_raster::{Channels, ProjectOptions, Rasterizer};
+use segwild_raster::{Channels, ProjectOptions, Rasterizer, jacobian_limits};
 use segwild_scene::half::from_half;
 use segwild_scene::{Camera, HalfRows, Image, Pose, Splats};
 use std::any::Any;
@@ -278,7 +278,8 @@ pub fn hit(
         cy: camera.cy - (point.y.floor() - window as f32),
         ..*camera
     };
-    let projected = engine.project(splats, &crop, pose, options)?;
+    let whole = ProjectOptions { jacobian_limits: Some(jacobian_limits(camera)), ..*options };
+    let projected = engine.project(splats, &crop, pose, &whole)?;
     let shares = projected.gather(&Image::filled(side as usize, side as usize, 1, 1.0))?;
     let scale = 1.0 / (side * side) as f32;
     let splats: Vec<(u32, f32)> = shares

@@ -10,7 +10,7 @@ pub(crate) const SIZE: (u32, u32) = (100, 68);
 pub(crate) const SPLATS: usize = 1500;
 /// Projection options.
 pub(crate) const OPTIONS: ProjectOptions =
-    ProjectOptions { low_pass: 0.3, antialias: true, near: segwild_scene::NEAR };
+    ProjectOptions { low_pass: 0.3, antialias: true, near: segwild_scene::NEAR, jacobian_limits: None };
 
 /// A ball of splats before a camera, some beyond its edges.
 pub(crate) fn scene() -> (Splats, Camera, Pose) {

@@ -27,7 +27,8 @@ const TOUCH: f64 = 14.0;
 const PER_BLOCK: f64 = 8.0;
 const BACK: f64 = 40.0;
 /// How splats are projected.
-const OPTIONS: ProjectOptions = ProjectOptions { low_pass: 0.3, antialias: true, near: segwild_scene::NEAR };
+const OPTIONS: ProjectOptions =
+    ProjectOptions { low_pass: 0.3, antialias: true, near: segwild_scene::NEAR, jacobian_limits: None };
 
 /// Measures the peak rates of the device.
 pub fn reach(engine: &GpuEngine) -> Result<Reach, GpuError> {

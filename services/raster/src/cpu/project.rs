@@ -140,7 +140,7 @@ fn rotation_matrix([w, x, y, z]: [f32; 4]) -> Mat {
     ]
 }
 
-/// Range of x/z (first two) and of y/z in which the Jacobian follows the perspective.
+/// Range of x/z (first two) and of y/z in which the Jacobian follows the perspective in a camera's whole frame.
 pub fn jacobian_limits(camera: &Camera) -> [f32; 4] {
     let (width, height) = (camera.width as f32, camera.height as f32);
     [
@@ -160,7 +160,7 @@ impl Projector {
                 w[i][j] = r[j][i];
             }
         }
-        let limits = jacobian_limits(camera);
+        let limits = options.jacobian_limits.unwrap_or_else(|| jacobian_limits(camera));
         Projector {
             width: camera.width as usize,
             height: camera.height as usize,

@@ -144,6 +144,33 @@ fn a_click_reads_what_the_full_render_shows_and_opacity_does_not_matter() {
 }
 
 #[test]
+fn a_click_far_from_the_centre_of_a_deep_splat_hits_what_the_photo_shows() {
+    let (mut world, view) = walls();
+    let engine = engine();
+    // It reaches far to the side and away from the camera, so that its footprint depends on where it is projected.
+    let mut one = world.splats.select(&[0]);
+    let camera = &view.camera;
+    let to_world = |at: Vec3| view.pose.rotation.transpose() * (at - view.pose.translation);
+    one.means[0] = to_world(Vec3::new(-0.9, 0.0, 4.0)).to_array();
+    one.log_scales[0] = [1.2f32.ln(), 0.3f32.ln(), 1.2f32.ln()];
+    one.opacities[0] = 2.0;
+    world.splats = one;
+    let projected = engine.project(&world.splats, camera, &view.pose, &options()).unwrap();
+    let colours = segwild_raster::Channels { count: 1, values: &[1.0] };
+    let alpha = projected.blend(&colours).unwrap().alpha;
+    let middle = camera.pixel(Vec3::new(-0.9, 0.0, 4.0));
+    let mut far = 0;
+    for x in (2..camera.width - 2).step_by(7) {
+        let at = Vec2::new(x as f32 + 0.5, middle.y.floor() + 0.5);
+        let shown = alpha.at(0, x as usize, at.y as usize);
+        let hit = hit(&engine, &world.splats, &options(), camera, &view.pose, at, 0).unwrap();
+        assert!((shown - hit.alpha).abs() < 1e-4, "{at}: {shown}, hit {}", hit.alpha);
+        far += u32::from(shown > 0.02 && (at.x - middle.x).abs() > 30.0);
+    }
+    assert!(far > 2, "{far} pixels show it far from its centre");
+}
+
+#[test]
 fn clicks_that_cannot_be_served_are_refused_in_words() {
     let (world, view) = walls();
     let (engine, mask) = (engine(), front_mask(&world, &view));
