@@ -21,15 +21,14 @@ struct ConfidenceWeights {
     levels: f32,
 }
 
-/// From docs/experiments/2026-11-30-confidence.md: a linear regression of the IoU of random clicks, with [`UNKNOWN`] for what is
-/// not known. The constant is .1 more than it was there: since groups are ranked by themselves, the expected IoU of the one that is
-/// chosen is less, and what is found is more (docs/experiments/2026-11-30-size-of-the-tree.md).
+/// From docs/experiments/2026-11-30-confidence.md: a linear regression of the IoU of random clicks and boxes, with [`UNKNOWN`] for
+/// what is not known.
 const CONFIDENCE: ConfidenceWeights = ConfidenceWeights {
-    constant: -0.14,
-    expected_iou: 0.59,
-    agreement: 0.19,
-    worst_side: 0.21,
-    levels: 0.42,
+    constant: -0.55,
+    expected_iou: 0.17,
+    agreement: 0.51,
+    worst_side: 0.76,
+    levels: 0.17,
 };
 
 /// Stands for a term that is not known, such as the expected IoU of a photo's own mask. Part of the fit.

@@ -121,22 +121,23 @@ pub fn select(request: &Request, refiner: Option<&dyn Refiner>) -> Result<Select
         }
         _ => (fusion.weigh(prompted.clone(), Vec::new(), SPREAD_STEPS), Vec::new()),
     };
-    let decide = |state, visits| decide(request, &fusion, (&prompted, &masks), state, visits);
-    let carried = decide(state, visits);
-    let elsewhere = carried.as_ref().map_or(true, |s| s.agreement < DRIFT_AGREEMENT && !s.visits.is_empty());
+    let decide = |state| decide(request, &fusion, (&prompted, &masks), state);
+    let carried = decide(state);
+    let elsewhere = carried.as_ref().map_or(true, |s| s.agreement < DRIFT_AGREEMENT && !visits.is_empty());
     if !elsewhere || rounds == 0 {
-        return carried;
+        return carried.map(|carried| Selection { visits, ..carried });
     }
     // The other photos hold evidence of another object: only the prompted photos decide.
-    let own = decide(fusion.weigh(prompted.clone(), Vec::new(), SPREAD_STEPS), Vec::new());
+    let own = decide(fusion.weigh(prompted.clone(), Vec::new(), SPREAD_STEPS));
     match (carried, own) {
-        (Ok(carried), Ok(own)) if own.agreement < DRIFT_GAIN * carried.agreement => Ok(carried),
-        (Ok(carried), Ok(own)) => {
-            let visits = carried.visits.into_iter().map(PhotoVisit::disregarded).collect();
+        (Ok(carried), Ok(own)) if own.agreement < DRIFT_GAIN * carried.agreement => {
+            Ok(Selection { visits, ..carried })
+        }
+        (_, Ok(own)) => {
+            let visits = visits.into_iter().map(PhotoVisit::disregarded).collect();
             Ok(Selection { visits, alone: true, ..own })
         }
-        (Err(_), Ok(own)) => Ok(Selection { alone: true, ..own }),
-        (carried, Err(_)) => carried,
+        (carried, Err(_)) => carried.map(|carried| Selection { visits, ..carried }),
     }
 }
 
@@ -170,13 +171,12 @@ fn labelled(
     Ok(Labelled { labels, parts_removed })
 }
 
-/// From beliefs to the selection. `prompted`: what the prompts say, and of it what their masks say.
+/// From beliefs to the selection, still without visits. `prompted`: what the prompts say, and of it what their masks say.
 fn decide(
     request: &Request,
     fusion: &LabelFusion,
     (prompted, masks): (&Evidence, &Evidence),
     state: FusionState,
-    visits: Vec<PhotoVisit>,
 ) -> Result<Selection, SegmentError> {
     let Labelled { mut labels, parts_removed } = labelled(request, fusion, prompted, &state)?;
     let sum = |of: &[f32], labelled: bool| -> f64 {
@@ -195,7 +195,7 @@ fn decide(
         score: state.probability,
         similarity: fusion.similarities.as_ref().map(|s| s.positive.clone()),
         evidence: state.evidence,
-        visits,
+        visits: Vec::new(),
         frozen,
         parts_removed,
         seen_once: left_out.unwrap_or(0),

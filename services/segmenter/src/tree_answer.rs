@@ -198,7 +198,7 @@ fn answer_to_boxes(
         return Ok(TreeAnswer::default());
     }
     let Some(hit) = leaf_clicks(request, tree, prompted)? else { return Ok(TreeAnswer::default()) };
-    let (engine, leaves) = (CpuEngine::new(), tree.trees.first().map_or(0, |tree| tree.merges.leaves));
+    let (engine, leaves) = (CpuEngine::new(), tree.leaf_count());
     let (mut boxes, mut own_masks) = (Vec::new(), vec![None; prompted.len()]);
     for (number, ((view, prompts), photo)) in prompted.iter().zip(photos).enumerate() {
         let Some(prompt) = prompts.boxes.first() else { continue };

@@ -78,7 +78,8 @@ impl Iterator for PackedSplats {
 }
 
 /// The splats in the order of what they contribute, the largest first: the light that all views see of them, which the scene tree
-/// has. A splat that follows another one in it has what all of them have together. Those without, and all where there is no tree, come by opacity times area, the product of the two longest axes.
+/// has: of a splat that others follow in it, and of these, what all of them have together. Those without, and all where there is no
+/// tree, come by opacity times area, the product of the two longest axes.
 fn by_contribution(splats: &Splats, tree: Option<&SceneTree>) -> Vec<u32> {
     let light = |i: usize| -> Option<f32> {
         let tree = tree?;

@@ -164,10 +164,9 @@ impl SceneTree {
     fn part_at(&self, selected: &[bool], click: &LeafClick, clicks: &[&LeafClick]) -> Vec<bool> {
         let leaves = selected.len();
         let is_wrong = |leaf: usize| selected[leaf] != click.inside;
-        // Leaves have the same light in all trees.
         let light_of = |takes_part: &dyn Fn(usize) -> bool| -> Vec<f32> {
-            let light = self.trees.first().map_or(&[][..], |tree| &tree.groups[..leaves]);
-            light.iter().enumerate().map(|(i, leaf)| if takes_part(i) { leaf.area } else { 0.0 }).collect()
+            let light = self.leaf_light().enumerate();
+            light.map(|(leaf, light)| if takes_part(leaf) { light } else { 0.0 }).collect()
         };
         let selection = light_of(&|leaf| selected[leaf]).iter().sum::<f32>();
         let most = match click.inside {

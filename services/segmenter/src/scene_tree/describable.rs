@@ -29,10 +29,7 @@ struct KnownGroups<'a> {
 
 impl KnownGroups<'_> {
     fn of(tree: &SceneTree) -> KnownGroups<'_> {
-        let leaves = tree.trees.first().map_or(0, |tree| tree.merges.leaves);
-        let of_leaves = tree.trees.first().into_iter().flat_map(|tree| tree.groups.iter().take(leaves));
-        let light = of_leaves.map(|group| f64::from(group.area)).collect();
-        KnownGroups { tree, light, groups: Vec::new() }
+        KnownGroups { tree, light: tree.leaf_light().map(f64::from).collect(), groups: Vec::new() }
     }
 
     /// Takes a group in. `false` where one of nearly the same leaves is known.

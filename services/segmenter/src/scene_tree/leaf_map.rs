@@ -56,7 +56,7 @@ impl LeafMap {
 
     /// The pixels that show each of some groups.
     pub fn shown(&self, tree: &SceneTree, groups: &[GroupCandidate]) -> Vec<ShownPixels> {
-        let leaves = tree.trees.first().map_or(0, |tree| tree.merges.leaves);
+        let leaves = tree.leaf_count();
         let mut counts = [vec![0.0f32; leaves], vec![0.0f32; leaves]];
         for (i, &leaf) in self.leaves.iter().enumerate().filter(|(_, leaf)| (**leaf as usize) < leaves) {
             let (x, y) = (i % self.width, i / self.width);

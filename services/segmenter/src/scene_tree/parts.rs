@@ -140,14 +140,8 @@ impl SceneTree {
         let mut found: Vec<GroupCandidate> =
             self.trees.iter().enumerate().flat_map(|(number, tree)| likely(number, tree)).collect();
         found.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.nodes.cmp(&b.nodes)));
-        let leaves = self.trees.first().map_or(0, |tree| tree.merges.leaves);
-        let area: Vec<f32> = self
-            .trees
-            .first()
-            .map_or(&[][..], |tree| &tree.groups[..leaves])
-            .iter()
-            .map(|g| g.area)
-            .collect();
+        let leaves = self.leaf_count();
+        let area: Vec<f32> = self.leaf_light().collect();
         let mut part_of = vec![0u8; leaves];
         let mut groups = Vec::new();
         // Per tree and node, the area that parts hold.

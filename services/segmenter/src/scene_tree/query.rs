@@ -223,20 +223,18 @@ impl SceneTree {
     /// Share of a candidate's light that lies on a surface.
     fn share_on(&self, candidate: &GroupCandidate, surface: &SceneSurface) -> f32 {
         let (leaves, on) = (self.leaves_of(candidate), self.leaves_on(surface));
-        // Leaves have the same light in all trees.
-        let light = self.trees.first().map_or(&[][..], |tree| &tree.groups[..]);
-        let held = leaves.iter().zip(&on).zip(light).filter(|((inside, _), _)| **inside);
+        let held = leaves.iter().zip(&on).zip(self.leaf_light()).filter(|((inside, _), _)| **inside);
         let (mut all, mut shared) = (0.0, 0.0);
-        held.for_each(|((_, on), leaf)| {
-            all += leaf.area;
-            shared += if *on { leaf.area } else { 0.0 };
+        held.for_each(|((_, on), light)| {
+            all += light;
+            shared += if *on { light } else { 0.0 };
         });
         if all > 0.0 { shared / all } else { 0.0 }
     }
 
     /// Whether each leaf belongs to a candidate.
     pub fn leaves_of(&self, candidate: &GroupCandidate) -> Vec<bool> {
-        let mut leaves = vec![false; self.trees.first().map_or(0, |tree| tree.merges.leaves)];
+        let mut leaves = vec![false; self.leaf_count()];
         for &(tree, node) in &candidate.nodes {
             let inside = self.trees[tree].merges.parts_of(node);
             leaves.iter_mut().zip(inside).for_each(|(leaf, inside)| *leaf |= inside);

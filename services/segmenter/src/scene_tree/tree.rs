@@ -68,9 +68,20 @@ pub struct SplatGroup {
 }
 
 impl SceneTree {
+    /// How many leaves it has.
+    pub fn leaf_count(&self) -> usize {
+        self.trees.first().map_or(0, |tree| tree.merges.leaves)
+    }
+
+    /// The light that all views see of each leaf, as a share of all that they see; leaves have the same light in all trees.
+    pub fn leaf_light(&self) -> impl Iterator<Item = f32> + '_ {
+        let groups = self.trees.first().map_or(&[][..], |tree| &tree.groups[..]);
+        groups.iter().take(self.leaf_count()).map(|leaf| leaf.area)
+    }
+
     /// Whether its parts fit together and to a scene of so many splats: it may have been read from a file.
     pub fn fits(&self, splats: usize) -> bool {
-        let leaves = self.trees.first().map_or(0, |tree| tree.merges.leaves);
+        let leaves = self.leaf_count();
         let whole = |tree: &GroupTree| tree.merges.is_sound(leaves) && tree.groups.len() == tree.merges.len();
         self.leaf.len() == splats
             && self.shown_by.len() == splats
@@ -93,12 +104,10 @@ impl SceneTree {
             *all += 1;
             *selected += u32::from(label);
         }
-        // Leaves have the same light in all trees.
-        let light = self.trees.first().map_or(&[][..], |tree| &tree.groups[..]);
         let (mut both, mut either) = (0.0f64, 0.0f64);
-        for ((&[all, selected], &leaf), group) in counts.iter().zip(leaves).zip(light) {
+        for ((&[all, selected], &leaf), light) in counts.iter().zip(leaves).zip(self.leaf_light()) {
             let share = f64::from(selected) / f64::from(all.max(1));
-            let (light, other) = (f64::from(group.area), f64::from(u8::from(leaf)));
+            let (light, other) = (f64::from(light), f64::from(u8::from(leaf)));
             both += light * share.min(other);
             either += light * share.max(other);
         }
@@ -107,7 +116,7 @@ impl SceneTree {
 
     /// Whether each leaf belongs to a surface.
     pub fn leaves_on(&self, surface: &SceneSurface) -> Vec<bool> {
-        let mut leaves = vec![false; self.trees.first().map_or(0, |tree| tree.merges.leaves)];
+        let mut leaves = vec![false; self.leaf_count()];
         surface.leaves.iter().for_each(|&leaf| leaves[leaf as usize] = true);
         leaves
     }

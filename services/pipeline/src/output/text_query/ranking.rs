@@ -221,9 +221,7 @@ fn best(
     every: bool,
     stopper: &Stopper,
 ) -> Result<Vec<usize>, RunError> {
-    let leaves = tree.trees.first().map_or(0, |tree| tree.merges.leaves);
-    let of_leaves = tree.trees.first().into_iter().flat_map(|tree| tree.groups.iter().take(leaves));
-    let areas: Vec<f64> = of_leaves.map(|group| f64::from(group.area)).collect();
+    let areas: Vec<f64> = tree.leaf_light().map(f64::from).collect();
     let mut order: Vec<usize> = (0..groups.len()).collect();
     order.sort_by(|&a, &b| {
         let (of_a, of_b) = (scores[a], scores[b]);
