@@ -88,10 +88,9 @@ const READ_OTHERS: [&str; 5] = ["pipeline", "scene", "flow", "farm", "monitor"];
 const READERS: [&str; 2] = ["fs::read(", "read_to_string("];
 
 /// Which lines may, by their file and a part of them.
-const MAY_READ: [(&str, &str, &str); 5] = [
+const MAY_READ: [(&str, &str, &str); 4] = [
     ("services/farm/src/manifest/mod.rs", "std::fs::read(file)", "a person may name a pipe"),
     ("services/farm/src/machine.rs", "read_to_string(file)", "the kernel's limits of the control group"),
-    ("services/flow/src/process.rs", "file.read_to_string(", "the lock that this program holds itself"),
     ("services/pipeline/src/settings/layers.rs", "std::fs::read(file)", "a person may name a pipe"),
     ("services/scene/src/export/mod.rs", "&beside", "the note beside an export, which this program writes"),
 ];

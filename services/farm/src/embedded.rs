@@ -6,7 +6,8 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use rusqlite::types::Type;
-use rusqlite::{Connection, OpenFlags, Row, Transaction, TransactionBehavior, params};
+use rusqlite::{Connection, ErrorCode, OpenFlags, Row, Transaction, TransactionBehavior, params};
+use segwild_flow::database::refuse_strange_schema;
 use segwild_flow::lock;
 
 use crate::clock::{JobClock, SystemClock};
@@ -79,6 +80,13 @@ impl EmbeddedEngine {
         let error = |e| store(&path, e);
         let mut connection = Connection::open(&path).map_err(error)?;
         connection.busy_timeout(Duration::from_secs(10)).map_err(error)?;
+        let tables: i64 = connection
+            .query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0))
+            .map_err(error)?;
+        // A file of somebody else stays as it is.
+        if tables > 0 || number(&connection, "application_id").map_err(error)? != 0 {
+            check(&connection, &path)?;
+        }
         connection.pragma_update(None, "journal_mode", "WAL").map_err(error)?;
         connection.pragma_update(None, "synchronous", "FULL").map_err(error)?;
         let make = |connection: &mut Connection| {
@@ -112,12 +120,7 @@ impl EmbeddedEngine {
     }
 
     fn checked(path: PathBuf, connection: Connection, clock: Arc<dyn JobClock>) -> Result<Self, EngineError> {
-        let found: i64 = connection
-            .pragma_query_value(None, "user_version", |row| row.get(0))
-            .map_err(|e| store(&path, e))?;
-        if found != VERSION {
-            return Err(EngineError::Version { path, found, known: VERSION });
-        }
+        check(&connection, &path)?;
         Ok(Self { path, store: Mutex::new(JobStore { connection, seen: None, jumped: Vec::new() }), clock })
     }
 
@@ -206,6 +209,32 @@ impl TransitionLog for EmbeddedEngine {
 
 fn store(path: &Path, error: rusqlite::Error) -> EngineError {
     EngineError::Store { path: path.to_path_buf(), reason: Box::new(error) }
+}
+
+fn number(connection: &Connection, pragma: &str) -> rusqlite::Result<i64> {
+    connection.pragma_query_value(None, pragma, |row| row.get(0))
+}
+
+/// Refuses a file of another program or another version.
+fn check(connection: &Connection, path: &Path) -> Result<(), EngineError> {
+    let error = |e| store(path, e);
+    let foreign = |why: String| {
+        let reason = format!("it holds no jobs of segwild or is damaged ({why}): move it away and run again");
+        EngineError::Store { path: path.to_path_buf(), reason: reason.into() }
+    };
+    refuse_strange_schema(connection).map_err(|e| match e.sqlite_error_code() {
+        Some(ErrorCode::DatabaseCorrupt) => foreign(e.to_string()),
+        _ => error(e),
+    })?;
+    // This program leaves the number of the application as it is in a new file.
+    if number(connection, "application_id").map_err(error)? != 0 {
+        return Err(foreign("another program's database".into()));
+    }
+    let found = number(connection, "user_version").map_err(error)?;
+    if found != VERSION {
+        return Err(EngineError::Version { path: path.to_path_buf(), found, known: VERSION });
+    }
+    Ok(())
 }
 
 /// The table as the file has it, with the file's version: read again where another handle has written since.

@@ -13,6 +13,7 @@
 //! - [`SystemRefusal`]: what the disk or the system is at fault for, found in an error and its sources.
 //! - [`shortage`]: what the system says when it has no file descriptors or processes left.
 //! - [`codec`]: binary records with a header.
+//! - [`database`]: SQLite files of somebody else; one with more than tables and indexes is refused.
 //! - [`files`], [`fault`] and [`lock`]: the one writer of files, faults on purpose, and mutexes that serve on after a panic, from
 //!   the floor below.
 //!
@@ -41,6 +42,7 @@ pub mod codec;
 mod compute;
 pub mod control;
 pub mod cpu;
+pub mod database;
 pub mod events;
 pub mod key;
 pub mod lease;

@@ -2,10 +2,10 @@
 
 use std::fmt;
 use std::fs::{self, File, TryLockError};
-use std::io::{Read, Seek, Write};
+use std::io::{Seek, Write};
 use std::path::Path;
 
-use crate::files::FileError;
+use crate::files::{self, FileError};
 
 /// What a process takes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -37,6 +37,9 @@ pub fn usage() -> Option<Usage> {
         threads: field("Threads")?,
     })
 }
+
+/// Bytes of a lock file at most: it holds a number.
+const MOST_BYTES: u64 = 64;
 
 /// A process that holds a [`Lock`].
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -110,9 +113,9 @@ impl Lock {
     }
 }
 
-/// Who holds the lock of a file now.
+/// Who holds the lock of a file now; nobody where it is no plain file.
 pub fn owner(path: &Path) -> Option<Owner> {
-    let file = File::open(path).ok()?;
+    let file = files::open_plain(path).ok()?;
     match file.try_lock_shared() {
         Err(TryLockError::WouldBlock) => Some(read_owner(path)),
         _ => None,
@@ -120,7 +123,19 @@ pub fn owner(path: &Path) -> Option<Owner> {
 }
 
 fn read_owner(path: &Path) -> Owner {
-    let mut text = String::new();
-    let read = File::open(path).and_then(|mut file| file.read_to_string(&mut text));
-    Owner { pid: read.ok().and_then(|_| text.trim().parse().ok()) }
+    let text = files::read_within(path, MOST_BYTES).ok().and_then(|bytes| String::from_utf8(bytes).ok());
+    Owner { pid: text.and_then(|text| text.trim().parse().ok()) }
+}
+
+#[cfg(test)]
+mod tests {
+    #[cfg(unix)]
+    #[test]
+    fn a_pipe_as_a_lock_file_keeps_nobody_waiting() {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("batch.lock");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        assert_eq!(super::owner(&pipe), None);
+        assert_eq!(super::read_owner(&pipe).pid, None);
+    }
 }

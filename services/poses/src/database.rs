@@ -2,6 +2,7 @@
 
 use crate::PosesError;
 use rusqlite::{Connection, OpenFlags};
+use segwild_flow::database::refuse_strange_schema;
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
@@ -40,6 +41,8 @@ impl Database {
         let failed = |source| PosesError::Database { path: path.to_owned(), source };
         let connection =
             Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_ONLY).map_err(failed)?;
+        // COLMAP makes tables and indexes.
+        refuse_strange_schema(&connection).map_err(failed)?;
         Ok(Some(Database { path: path.to_owned(), connection }))
     }
 
@@ -139,5 +142,25 @@ mod tests {
         std::fs::write(&path, "no database at all, whatever its name says").unwrap();
         let refused = Database::open(&path).and_then(|database| database.unwrap().images());
         assert!(refused.unwrap_err().to_string().contains("colmap.db"));
+    }
+
+    #[test]
+    fn a_view_in_somebody_elses_database_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = database(dir.path());
+        let view = "DROP TABLE images; CREATE VIEW images AS SELECT 1 AS image_id, 'a' AS name;";
+        Connection::open(&path).unwrap().execute_batch(view).unwrap();
+        let message = Database::open(&path).map(drop).unwrap_err().to_string();
+        assert!(message.contains("view `images`") && message.contains("remove the folder"), "{message}");
+    }
+
+    #[test]
+    fn an_index_in_colmaps_own_database_is_no_reason_to_refuse_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = database(dir.path());
+        let index = "CREATE UNIQUE INDEX IF NOT EXISTS index_name ON images (name);
+                     CREATE TABLE cameras (camera_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL);";
+        Connection::open(&path).unwrap().execute_batch(index).unwrap();
+        assert_eq!(Database::open(&path).unwrap().unwrap().images().unwrap().len(), 3);
     }
 }

@@ -260,3 +260,28 @@ fn another_format_is_refused_in_words() {
     std::fs::write(&path, "this is no database at all, however long one makes it").unwrap();
     assert!(matches!(EmbeddedEngine::open(&path), Err(EngineError::Store { .. })));
 }
+
+#[test]
+fn a_view_in_somebody_elses_jobs_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("jobs.sqlite");
+    drop(EmbeddedEngine::open(&path).unwrap());
+    let endless = "DROP TABLE changes; CREATE VIEW changes AS
+        WITH RECURSIVE n (kind) AS (SELECT 1 UNION ALL SELECT kind + 1 FROM n) SELECT kind FROM n;";
+    rusqlite::Connection::open(&path).unwrap().execute_batch(endless).unwrap();
+    for opened in [EmbeddedEngine::open(&path), EmbeddedEngine::open_read_only(&path)] {
+        let message = opened.map(drop).unwrap_err().to_string();
+        assert!(message.contains("view `changes`") && message.contains("move it away"), "{message}");
+    }
+}
+
+#[test]
+fn another_programs_database_is_refused_before_it_is_changed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("jobs.sqlite");
+    let theirs = "CREATE TABLE t (x); PRAGMA application_id = 7; PRAGMA user_version = 1;";
+    rusqlite::Connection::open(&path).unwrap().execute_batch(theirs).unwrap();
+    let before = std::fs::read(&path).unwrap();
+    assert!(matches!(EmbeddedEngine::open(&path), Err(EngineError::Store { .. })));
+    assert!(std::fs::read(&path).unwrap() == before);
+}

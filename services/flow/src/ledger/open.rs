@@ -7,6 +7,7 @@ use rusqlite::{Connection, OpenFlags};
 
 use super::error::LedgerError;
 use super::schema::{APPLICATION, LIVE_TABLES, SCHEMA_VERSION, TABLES};
+use crate::database::refuse_strange_schema;
 
 // Opening for reading without a lock is what a status command does; writing through such a handle is refused.
 const READ_FLAGS: OpenFlags =
@@ -44,6 +45,7 @@ pub(super) fn prepare(connection: &mut Connection, path: &Path) -> Result<(), Le
 /// Refuses files that are not a ledger of this version.
 pub(super) fn check(connection: &Connection, path: &Path) -> Result<(), LedgerError> {
     let error = |e| LedgerError::sqlite(path, e);
+    refuse_strange_schema(connection).map_err(error)?;
     if number(connection, "application_id").map_err(error)? != APPLICATION {
         let reason = "another program's database".into();
         return Err(LedgerError::Damaged { path: path.to_path_buf(), reason });

@@ -183,3 +183,28 @@ fn other_formats_and_other_files_are_refused_in_words() {
     rusqlite::Connection::open(&foreign).unwrap().execute_batch("CREATE TABLE t (x)").unwrap();
     assert!(matches!(Ledger::open(&foreign), Err(LedgerError::Damaged { .. })));
 }
+
+#[test]
+fn a_view_in_somebody_elses_ledger_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.sqlite");
+    drop(Ledger::open(&path).unwrap());
+    let endless = "DROP TABLE stages; CREATE VIEW stages AS
+        WITH RECURSIVE n (name) AS (SELECT 1 UNION ALL SELECT name + 1 FROM n) SELECT name FROM n;";
+    rusqlite::Connection::open(&path).unwrap().execute_batch(endless).unwrap();
+    for opened in [Ledger::open(&path), Ledger::open_read_only(&path)] {
+        let error = opened.unwrap_err();
+        assert!(matches!(error, LedgerError::Damaged { .. }), "{error:?}");
+        assert!(error.to_string().contains("view `stages`"), "{error}");
+    }
+}
+
+#[test]
+fn a_trigger_in_somebody_elses_ledger_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.sqlite");
+    drop(Ledger::open(&path).unwrap());
+    let trigger = "CREATE TRIGGER t AFTER INSERT ON events BEGIN DELETE FROM stages; END;";
+    rusqlite::Connection::open(&path).unwrap().execute_batch(trigger).unwrap();
+    assert!(matches!(Ledger::open(&path), Err(LedgerError::Damaged { .. })));
+}
