@@ -20,9 +20,14 @@ pub fn unique_name(stem: &str) -> String {
 
 /// A new file in `folder`: never one that is there already, whoever put it there.
 fn create_aside(folder: &Path, stem: &str) -> io::Result<(PathBuf, File)> {
+    create_aside_with(folder, stem, &mut OpenOptions::new())
+}
+
+/// The same, with options of the caller's.
+fn create_aside_with(folder: &Path, stem: &str, options: &mut OpenOptions) -> io::Result<(PathBuf, File)> {
     loop {
         let path = folder.join(unique_name(stem));
-        match OpenOptions::new().write(true).create_new(true).open(&path) {
+        match options.write(true).create_new(true).open(&path) {
             Ok(file) => return Ok((path, file)),
             Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {}
             Err(e) => return Err(e),
@@ -56,18 +61,36 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     write_aside(folder_of(path), path, &[bytes])
 }
 
-/// Writes a new file that only its owner may read, such as a secret.
+/// Writes a new file that only its owner may read, such as a secret: after a kill it is there whole or not at all.
 ///
 /// # Errors
 /// Also when there is a file of that name.
 pub fn write_private(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    let failed = |e| FileError::new("write", path, e);
     let mut options = OpenOptions::new();
-    options.write(true).create_new(true);
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    let folder = folder_of(path);
+    let stem = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let (temporary, mut file) =
+        create_aside_with(folder, &format!(".{stem}"), &mut options).map_err(failed)?;
     let written =
-        options.open(path).and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()));
-    written.map_err(|e| FileError::new("write", path, e))
+        file.write_all(bytes).and_then(|()| file.sync_all()).and_then(|()| name_new(&temporary, path));
+    // It has its name, or is only litter.
+    let _ = fs::remove_file(&temporary);
+    written.map_err(failed)?;
+    sync_folder(folder)
+}
+
+/// Gives a file its name, never that of one that is there already.
+fn name_new(temporary: &Path, path: &Path) -> io::Result<()> {
+    match fs::hard_link(temporary, path) {
+        // A file system without links.
+        Err(e) if e.kind() != io::ErrorKind::AlreadyExists && fs::symlink_metadata(path).is_err() => {
+            fs::rename(temporary, path)
+        }
+        linked => linked,
+    }
 }
 
 /// As [`write_atomic`], for callers that name the file in an error of their own.
@@ -355,6 +378,18 @@ mod tests {
         // A folder that is not empty cannot be replaced by a file.
         assert!(write_atomic(&target, b"new").is_err());
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_secret_that_is_there_stays_and_nothing_is_left_aside() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("token");
+        write_private(&path, b"first").unwrap();
+        assert!(write_private(&path, b"second").is_err());
+        assert_eq!(fs::read(&path).unwrap(), b"first");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+        #[cfg(unix)]
+        assert_eq!(std::os::unix::fs::MetadataExt::mode(&fs::metadata(&path).unwrap()) & 0o777, 0o600);
     }
 
     #[test]

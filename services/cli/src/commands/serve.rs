@@ -201,7 +201,8 @@ fn token_of(file: &Path) -> Result<Token, Failure> {
     match segwild_flow::files::read_within(file, 1024) {
         Ok(bytes) => String::from_utf8(bytes).ok().and_then(|text| Token::of(&text)).ok_or_else(|| {
             Failure::usage(format!(
-                "{}: a token has 16 letters, digits, dashes or underscores at least",
+                "{}: a token has 16 letters, digits, dashes or underscores at least; \
+                 delete the file and run again: a new one is made",
                 file.display()
             ))
         }),

@@ -149,6 +149,15 @@ fn other_machines_are_let_in_only_with_a_token_file_or_a_flag_that_says_so() {
 }
 
 #[test]
+fn an_empty_token_file_is_refused_with_the_way_out() {
+    let dir = folder();
+    let file = dir.path().join("token");
+    std::fs::write(&file, "").expect("it can be written");
+    let run = show(&copied_run(&dir));
+    refuses(&["serve", &run, "--token-file", &show(&file)], 2, &["16 letters", "delete the file"]);
+}
+
+#[test]
 fn a_program_clicks_and_saves_an_object_through_the_api() {
     let dir = folder();
     let run = show(&copied_run(&dir));

@@ -48,6 +48,8 @@ pub struct JournalStart {
 pub struct Journal {
     path: PathBuf,
     file: File,
+    /// Whether a part of a line may lie at the end: the next one then begins with a newline.
+    torn: bool,
 }
 
 impl Journal {
@@ -69,7 +71,7 @@ impl Journal {
             if whole < bytes.len() {
                 file.set_len(whole as u64).map_err(|e| FileError::new("write", path, e))?;
             }
-            let journal = Journal { path: path.to_owned(), file };
+            let journal = Journal { path: path.to_owned(), file, torn: false };
             return Ok(OpenedJournal { journal, document, skipped, earlier: None });
         }
         let earlier = match bytes.is_empty() {
@@ -80,7 +82,7 @@ impl Journal {
             }
         };
         let file = if earlier.is_some() { lock(path)? } else { file };
-        let mut journal = Journal { path: path.to_owned(), file };
+        let mut journal = Journal { path: path.to_owned(), file, torn: false };
         journal.line(&JournalStart { segwild_session: VERSION, scene: scene.to_owned() })?;
         Ok(OpenedJournal { journal, document: Document::default(), skipped: 0, earlier })
     }
@@ -97,6 +99,9 @@ impl Journal {
         let failed = |e| FileError::new("write", &self.path, e);
         let mut line = serde_json::to_vec(value).map_err(|e| failed(e.into()))?;
         line.push(b'\n');
+        if self.torn {
+            line.insert(0, b'\n');
+        }
         let length = self.file.metadata().map_err(failed)?.len();
         if length.saturating_add(line.len() as u64) > MOST_BYTES {
             // A larger one would not be read again.
@@ -107,7 +112,14 @@ impl Journal {
             );
             return Err(failed(std::io::Error::new(std::io::ErrorKind::FileTooLarge, why)));
         }
-        self.file.write_all(&line).and_then(|()| self.file.sync_data()).map_err(failed)
+        let written = self.file.write_all(&line).and_then(|()| self.file.sync_data());
+        if written.is_ok() {
+            self.torn = false;
+        } else {
+            // What there is of it would be glued to the next one, and both be lost.
+            self.torn |= self.file.set_len(length).is_err();
+        }
+        written.map_err(failed)
     }
 }
 
@@ -151,4 +163,28 @@ fn replay(bytes: &[u8]) -> (Option<JournalStart>, Document, usize, usize) {
         skipped += usize::from(!entered);
     }
     (start, document, skipped, whole)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::document::Operation;
+
+    #[test]
+    fn an_entry_after_one_that_failed_is_not_lost() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("session.jsonl");
+        let mut journal = Journal::open(&path, "scene").unwrap().journal;
+        let entry = JournalEntry::Apply(Operation::CutSpikes { cut: true });
+        // A handle that can neither write nor shorten the file.
+        let able = std::mem::replace(&mut journal.file, File::open(&path).unwrap());
+        assert!(journal.append(&entry).is_err());
+        journal.file = able;
+        // As if a part of it had been written.
+        journal.file.write_all(b"{\"app").unwrap();
+        journal.append(&entry).unwrap();
+        drop(journal);
+        let opened = Journal::open(&path, "scene").unwrap();
+        assert_eq!((opened.skipped, opened.document.undo_label()), (1, Some("spike cut")));
+    }
 }
