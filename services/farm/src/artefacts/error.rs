@@ -45,6 +45,32 @@ pub enum ArtefactError {
         /// The digest of what came.
         found: ArtefactDigest,
     },
+    /// The store has more bytes of it than were declared.
+    #[error(
+        "the artefact {digest} is longer in {store} than the {most} bytes that it may have by the list of its folder: store the folder again"
+    )]
+    Long {
+        /// Which store.
+        store: String,
+        /// Which artefact.
+        digest: ArtefactDigest,
+        /// Most bytes that it may have.
+        most: u64,
+    },
+    /// The store has fewer bytes of it than were declared.
+    #[error(
+        "the artefact {digest} has {received} bytes in {store}, and {least} by the list of its folder: store the folder again"
+    )]
+    Short {
+        /// Which store.
+        store: String,
+        /// Which artefact.
+        digest: ArtefactDigest,
+        /// Bytes that came.
+        received: u64,
+        /// Fewest bytes that it may have.
+        least: u64,
+    },
     /// The store has no folder of those who are to use it.
     #[error(
         "{store} has none of the {folders} folders that the farm's scenes refer to, so it seems to be another farm's store: check --artefacts, which is the same for a sweep as for the farm's workers"

@@ -1,6 +1,7 @@
 //! Artefacts in a bucket of JetStream: for small farms on one site, which then need no other store.
 
 use std::io;
+use std::ops::RangeInclusive;
 use std::path::Path;
 use std::pin::Pin;
 use std::task::{Context as TaskContext, Poll, ready};
@@ -198,7 +199,12 @@ impl ArtefactStore for JetStreamArtefacts {
         }
     }
 
-    fn get(&self, digest: &ArtefactDigest, to: &Path) -> Result<(), ArtefactError> {
+    fn get(
+        &self,
+        digest: &ArtefactDigest,
+        bytes: RangeInclusive<u64>,
+        to: &Path,
+    ) -> Result<(), ArtefactError> {
         let (bucket, key) = (self.bucket.clone(), digest.to_string());
         let failed = self.failed("fetch", digest);
         let found = self.calls.wait(async move { bucket.get(key).await });
@@ -225,7 +231,7 @@ impl ArtefactStore for JetStreamArtefacts {
                 }
             }
         });
-        receive(&self.name, digest, to, || pieces.blocking_recv())
+        receive(&self.name, digest, &bytes, to, || pieces.blocking_recv())
     }
 }
 

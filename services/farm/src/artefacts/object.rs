@@ -1,5 +1,6 @@
 //! Artefacts in a shared folder or on S3.
 
+use std::ops::RangeInclusive;
 use std::path::{Path as FilePath, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -283,7 +284,12 @@ impl ArtefactStore for ObjectArtefacts {
         Ok(())
     }
 
-    fn get(&self, digest: &ArtefactDigest, to: &FilePath) -> Result<(), ArtefactError> {
+    fn get(
+        &self,
+        digest: &ArtefactDigest,
+        bytes: RangeInclusive<u64>,
+        to: &FilePath,
+    ) -> Result<(), ArtefactError> {
         let (store, key) = (self.store.clone(), self.key(digest));
         let found = self.calls.wait(async move { store.get(&key).await });
         let found = match found.map_err(self.failed::<ShutDown>("fetch", digest))? {
@@ -311,6 +317,6 @@ impl ArtefactStore for ObjectArtefacts {
                 }
             }
         });
-        receive(&self.name, digest, to, || pieces.blocking_recv())
+        receive(&self.name, digest, &bytes, to, || pieces.blocking_recv())
     }
 }

@@ -144,8 +144,14 @@ impl ArtefactSession {
         for (held, digest) in checkpoints {
             match self.put(&digest, &held.source) {
                 Ok(()) => {
-                    let data = std::fs::metadata(&held.source);
-                    let bytes = data.map_err(|e| FileError::new("read", &held.source, e))?.len();
+                    // The file may have been damaged after the store got it: the length is that of what the store has.
+                    let bytes = match self.store().find(&digest)? {
+                        Some(stored) => stored.bytes,
+                        None => {
+                            let data = std::fs::metadata(&held.source);
+                            data.map_err(|e| FileError::new("read", &held.source, e))?.len()
+                        }
+                    };
                     entries.push(FolderEntry { path: held.path, digest, bytes });
                 }
                 // The run passes over a damaged checkpoint, and names it.
@@ -188,7 +194,7 @@ impl ArtefactSession {
         self.fetch_files(&others, into)?;
         // The right bytes may yet be no ledger.
         let fetched = into.join(files::unique_name(".ledger"));
-        self.store().get(&ledger.digest, &fetched)?;
+        self.store().get(&ledger.digest, ledger.bytes..=ledger.bytes, &fetched)?;
         let done = Ledger::open_read_only(&fetched).map(|_| ()).map_err(ArtefactError::from);
         done.and_then(|()| replace_ledger(&fetched, into)).inspect_err(|_| {
             // The error that matters is the first one; what is left is only litter.

@@ -10,7 +10,7 @@ use segwild_flow::{FileError, lock};
 
 use super::digest::ArtefactDigest;
 use super::error::{ArtefactError, FetchedFolderError, UnfitFolderError};
-use super::manifest::{FolderEntry, FolderLimits, FolderManifest};
+use super::manifest::{FolderEntry, FolderLimits, FolderManifest, FolderManifestError};
 use super::parallel::each;
 use super::store::ArtefactStore;
 use super::walk::{self, FoundFile};
@@ -185,11 +185,15 @@ impl ArtefactSession {
         into: &Path,
     ) -> Result<FolderManifest, ArtefactError> {
         let file = into.join(files::unique_name(".manifest"));
-        self.store.get(digest, &file)?;
-        let read = files::read_within(&file, self.limits.manifest_bytes);
+        let most = self.limits.manifest_bytes;
+        let refused = |reason: FetchedFolderError| ArtefactError::Manifest { digest: *digest, reason };
+        self.store.get(digest, 0..=most, &file).map_err(|error| match error {
+            ArtefactError::Long { .. } => refused(FolderManifestError::Long(most).into()),
+            other => other,
+        })?;
+        let read = files::read_within(&file, most);
         // It was ours alone.
         let _ = std::fs::remove_file(&file);
-        let refused = |reason| ArtefactError::Manifest { digest: *digest, reason };
         let json = read.map_err(|e| refused(FetchedFolderError::Unread(e)))?;
         FolderManifest::parse(&json, &self.limits).map_err(|e| refused(e.into()))
     }
@@ -210,6 +214,6 @@ impl ArtefactSession {
         if same && self.digest_of(&to)?.0 == entry.digest {
             return Ok(());
         }
-        self.store.get(&entry.digest, &to)
+        self.store.get(&entry.digest, entry.bytes..=entry.bytes, &to)
     }
 }

@@ -1,5 +1,6 @@
 //! Where artefacts lie.
 
+use std::ops::RangeInclusive;
 use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -49,11 +50,18 @@ pub trait ArtefactStore: Send + Sync {
     /// When the file cannot be read or has another digest (then nothing is stored), or the store cannot be reached.
     fn put(&self, digest: &ArtefactDigest, file: &Path) -> Result<(), ArtefactError>;
 
-    /// Fetches an artefact into a file, which is replaced if it is there. It is written aside, verified and renamed.
+    /// Fetches an artefact of so many bytes into a file, which is replaced if it is there. It is written aside, verified and
+    /// renamed; never are more than the most bytes written.
     ///
     /// # Errors
-    /// When the store cannot be reached, has no such artefact, or delivers other bytes: then the file is as it was before.
-    fn get(&self, digest: &ArtefactDigest, to: &Path) -> Result<(), ArtefactError>;
+    /// When the store cannot be reached, has no such artefact, or delivers other bytes, more or fewer: then the file is as it was
+    /// before.
+    fn get(
+        &self,
+        digest: &ArtefactDigest,
+        bytes: RangeInclusive<u64>,
+        to: &Path,
+    ) -> Result<(), ArtefactError>;
 
     /// Shows every artefact, in no order. Whatever else lies in the store is left out.
     ///

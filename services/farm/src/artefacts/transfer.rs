@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::{Read, Write};
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -59,25 +60,35 @@ impl Outgoing {
     }
 }
 
-/// Writes the pieces of an artefact into a file, which appears only if they are the artefact.
+/// Writes the pieces of an artefact into a file, which appears only if they are the artefact and have so many bytes. What goes
+/// beyond the most is not written: a store that delivers without end fills no disk.
 pub(super) fn receive<P: AsRef<[u8]>>(
     store: &str,
     digest: &ArtefactDigest,
+    bytes: &RangeInclusive<u64>,
     to: &Path,
     mut next: impl FnMut() -> Option<Result<P, ArtefactError>>,
 ) -> Result<(), ArtefactError> {
     write_with(to, |file| {
-        let mut hasher = blake3::Hasher::new();
+        let (mut hasher, mut received) = (blake3::Hasher::new(), 0u64);
+        let (least, most) = (*bytes.start(), *bytes.end());
         while let Some(piece) = next() {
             let piece = piece?;
+            received = received.saturating_add(piece.as_ref().len() as u64);
+            if received > most {
+                return Err(ArtefactError::Long { store: store.to_owned(), digest: *digest, most });
+            }
             hasher.update(piece.as_ref());
             file.write_all(piece.as_ref()).map_err(|e| FileError::new("write", to, e))?;
         }
         let found = ArtefactDigest::finish(&hasher);
-        if found == *digest {
-            return Ok(());
+        if found != *digest {
+            return Err(ArtefactError::Damaged { store: store.to_owned(), digest: *digest, found });
         }
-        Err(ArtefactError::Damaged { store: store.to_owned(), digest: *digest, found })
+        if received < least {
+            return Err(ArtefactError::Short { store: store.to_owned(), digest: *digest, received, least });
+        }
+        Ok(())
     })
 }
 

@@ -74,7 +74,9 @@ fn at(action: &'static str, path: &Path, error: std::io::Error) -> HostFailure {
 
 fn failure(error: ArtefactError) -> HostFailure {
     let class = match &error {
-        ArtefactError::Manifest { .. } | ArtefactError::Unfit { .. } => ErrorClass::Fatal,
+        ArtefactError::Manifest { .. } | ArtefactError::Unfit { .. } | ArtefactError::Long { .. } => {
+            ErrorClass::Fatal
+        }
         _ => ErrorClass::Retryable,
     };
     HostFailure { class, words: error.to_string() }

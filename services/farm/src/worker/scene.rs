@@ -4,14 +4,19 @@ use std::collections::BTreeMap;
 
 use segwild_flow::files::name;
 use segwild_pipeline::{Settings, Until};
+use segwild_scene::settings::Field;
 use segwild_vision::VisionSettings;
 use serde::{Deserialize, Serialize};
 
 use crate::artefacts::ArtefactDigest;
 use crate::job::Job;
 
+/// Settings of free text that name no file: a part of an accelerator's name, and a photo of the scene. All others of free text
+/// are taken for paths, new ones as well until they stand here.
+const WORDS: [&str; 2] = ["adapter", "object_appearance"];
+
 /// What a worker is to do: nothing but `segwild run` on photos that it fetches, with these settings. A job names no program,
-/// no path, and no setting that names code ([`VisionSettings::CODE`]).
+/// no path out of its input, and no setting that names code ([`VisionSettings::CODE`]).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FarmScene {
     /// The folder of photos and cameras.
@@ -40,6 +45,16 @@ pub enum FarmSceneError {
         "a farm's scene cannot set `{0}`, which names code or a service: set it where the workers are started"
     )]
     Code(String),
+    /// A setting is a path that leads out of the scene's folder.
+    #[error(
+        "a farm's scene cannot set `{name}` to `{value}`: a farm job's paths lie within its input; give a path relative to the scene's folder, without `..`"
+    )]
+    Path {
+        /// The setting.
+        name: String,
+        /// Its value, as it is safe to show.
+        value: String,
+    },
     /// A setting makes no sense.
     #[error("{0}")]
     Settings(String),
@@ -63,8 +78,16 @@ impl FarmScene {
     /// # Errors
     /// When it must not.
     pub fn check(settings: &BTreeMap<String, String>, until: Option<&str>) -> Result<(), FarmSceneError> {
-        if let Some(name) = settings.keys().find(|name| VisionSettings::CODE.contains(&name.as_str())) {
-            return Err(FarmSceneError::Code(name.clone()));
+        for (name, value) in settings {
+            // Settings take dashes as well.
+            let field = name.replace('-', "_");
+            if VisionSettings::CODE.contains(&field.as_str()) {
+                return Err(FarmSceneError::Code(name.clone()));
+            }
+            if is_path(&field) && !is_within(value) {
+                let value = name::one_line(&value.chars().take(120).collect::<String>()).into_owned();
+                return Err(FarmSceneError::Path { name: name.clone(), value });
+            }
         }
         let wrong = |error: &dyn std::fmt::Display| FarmSceneError::Settings(error.to_string());
         let pairs: Vec<(String, String)> = settings.clone().into_iter().collect();
@@ -74,6 +97,18 @@ impl FarmScene {
         }
         Ok(())
     }
+}
+
+/// Whether a setting's value is a path, or may be one.
+fn is_path(setting: &str) -> bool {
+    let text = |field: &Field| field.name == setting && field.kind == "TEXT";
+    !WORDS.contains(&setting) && Settings::catalogue().iter().any(|(_, _, fields)| fields.iter().any(text))
+}
+
+/// Whether a path stays within the folder that it is relative to, on every system. Nothing and a word such as `none` do.
+fn is_within(path: &str) -> bool {
+    let parts = path.strip_suffix('/').unwrap_or(path);
+    path.is_empty() || (!path.starts_with('~') && !path.contains(':') && parts.split('/').all(name::is_plain))
 }
 
 /// The artefact that a scene ended in, by what its worker reported; `None` where it ended in none.
@@ -114,6 +149,7 @@ mod tests {
             ("night/a/b", "{}", "not the name of a scene"),
             ("night/a", "{\"onnxruntime\": \"/tmp/evil.so\"}", "`onnxruntime`"),
             ("night/a", "{\"vision_service\": \"grpc://evil\"}", "`vision_service`"),
+            ("night/a", "{\"vision-service\": \"grpc://evil\"}", "names code or a service"),
             ("night/a", "{\"stpes\": \"3\"}", "no setting named `stpes`"),
         ] {
             let message = read(id, &payload(settings)).unwrap_err().to_string();
@@ -125,5 +161,34 @@ mod tests {
             let payload = format!("{{\"photos\": \"{photos}\", \"settings\": {{}}, \"until\": \"{until}\"}}");
             assert!(read("night/a", &payload).is_err());
         }
+    }
+
+    #[test]
+    fn a_job_whose_settings_are_files_outside_of_its_input_is_refused() {
+        let check = |name: &str, value: &str| {
+            FarmScene::check(&BTreeMap::from([(name.to_owned(), value.to_owned())]), None)
+        };
+        for name in [
+            "images",
+            "ignore",
+            "keep_masks",
+            "transient-masks",
+            "split",
+            "imported_splats",
+            "imported_frame",
+            "lpips_weights",
+            "sam",
+        ] {
+            for outside in
+                ["/home/other/photos", "../x/images", "a/../../x", "~/x", "C:/x", "C:x", "a\\..\\x", "/"]
+            {
+                let message = check(name, outside).unwrap_err().to_string();
+                assert!(message.contains(name) && message.contains("within its input"), "{message}");
+            }
+            for inside in ["", "none", "images", "masks/by hand/", "a/b.txt"] {
+                check(name, inside).unwrap();
+            }
+        }
+        check("adapter", "Radeon/RX: 7").unwrap();
     }
 }

@@ -4,6 +4,7 @@ use segwild_farm::{
     ArtefactDigest, ArtefactError, ArtefactSession, ArtefactStore, FolderEntry, FolderLimits, FolderManifest,
     ObjectArtefacts, StoredArtefact,
 };
+use std::ops::RangeInclusive;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -33,9 +34,14 @@ impl ArtefactStore for Counted {
         self.puts.fetch_add(1, Ordering::Relaxed);
         self.store.put(digest, file)
     }
-    fn get(&self, digest: &ArtefactDigest, to: &Path) -> Result<(), ArtefactError> {
+    fn get(
+        &self,
+        digest: &ArtefactDigest,
+        bytes: RangeInclusive<u64>,
+        to: &Path,
+    ) -> Result<(), ArtefactError> {
         self.gets.fetch_add(1, Ordering::Relaxed);
-        self.store.get(digest, to)
+        self.store.get(digest, bytes, to)
     }
 }
 
@@ -146,6 +152,23 @@ fn evil_manifests_write_nothing() {
     let short = FolderLimits { manifest_bytes: 20, ..FolderLimits::default() };
     assert!(ArtefactSession::within(store, short).fetch_folder(&digest, &into).is_err());
     session.fetch_folder(&digest, &into).unwrap();
+}
+
+#[test]
+fn a_file_that_is_longer_than_its_manifest_says_does_not_fill_the_disk() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, into) = (counted(dir.path()), dir.path().join("into"));
+    let entry = stored_text(store.as_ref(), dir.path(), "a", "sixteen bytes...");
+    for bytes in [5, 17] {
+        let forged = FolderManifest::new(vec![FolderEntry { bytes, ..entry.clone() }]);
+        let digest = store_manifest(store.as_ref(), dir.path(), &forged.to_json());
+        let error = ArtefactSession::new(store.clone()).fetch_folder(&digest, &into).unwrap_err();
+        assert!(
+            matches!(error, ArtefactError::Long { .. } | ArtefactError::Short { .. }),
+            "{bytes}: {error}"
+        );
+        assert_eq!(std::fs::read_dir(&into).unwrap().count(), 0, "{bytes}");
+    }
 }
 
 #[cfg(unix)]

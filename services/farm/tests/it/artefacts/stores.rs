@@ -4,11 +4,14 @@ use super::servers;
 use segwild_farm::{ArtefactDigest, ArtefactError, ArtefactStore, JetStreamArtefacts, ObjectArtefacts};
 use segwild_flow::process;
 use std::io::Write;
+use std::ops::RangeInclusive;
 use std::path::Path;
 use std::sync::Barrier;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 const LARGE: usize = 70 << 20;
+/// Any number of bytes.
+const ANY: RangeInclusive<u64> = 0..=u64::MAX;
 /// A store takes no more memory than this for a file of any length, in bytes.
 const MEMORY: u64 = 48 << 20;
 
@@ -40,7 +43,7 @@ fn serves(store: &dyn ArtefactStore, write_other: &dyn Fn(&ArtefactDigest, &[u8]
         store.put(&digest, &from).unwrap();
         let renewed = store.find(&digest).unwrap().expect("it is there still");
         assert!(renewed.since >= stored.since && renewed.bytes == stored.bytes, "{stored:?}, {renewed:?}");
-        store.get(&digest, &to).unwrap();
+        store.get(&digest, ANY, &to).unwrap();
         assert!(std::fs::read(&from).unwrap() == std::fs::read(&to).unwrap(), "{bytes}");
     }
     is_bounded(store, &from, &to);
@@ -58,7 +61,7 @@ fn serves(store: &dyn ArtefactStore, write_other: &dyn Fn(&ArtefactDigest, &[u8]
             });
         }
     });
-    store.get(&digest, &to).unwrap();
+    store.get(&digest, ANY, &to).unwrap();
     assert_eq!(ArtefactDigest::of_file(&to).unwrap().0, digest);
 }
 
@@ -86,7 +89,7 @@ fn lists_and_removes(store: &dyn ArtefactStore, from: &Path) {
     assert_eq!(listed().len(), before.len());
     store.put(&digest, from).unwrap();
     let to = from.with_extension("again");
-    store.get(&digest, &to).unwrap();
+    store.get(&digest, ANY, &to).unwrap();
     assert_eq!(ArtefactDigest::of_file(&to).unwrap().0, digest, "it can be stored again");
 }
 
@@ -96,7 +99,7 @@ fn is_bounded(store: &dyn ArtefactStore, from: &Path, to: &Path) {
     let (before, start) = (peak(), Instant::now());
     store.put(&digest, from).unwrap();
     let put_s = start.elapsed().as_secs_f64();
-    store.get(&digest, to).unwrap();
+    store.get(&digest, ANY, to).unwrap();
     let get_s = start.elapsed().as_secs_f64() - put_s;
     let grown = peak() - before;
     let rate = |seconds: f64| (LARGE >> 20) as f64 / seconds;
@@ -113,7 +116,7 @@ fn is_bounded(store: &dyn ArtefactStore, from: &Path, to: &Path) {
 fn refuses(store: &dyn ArtefactStore, write_other: &dyn Fn(&ArtefactDigest, &[u8]), from: &Path, dir: &Path) {
     let to = dir.join("refused/file");
     let unknown = ArtefactDigest::of(b"never stored");
-    let error = store.get(&unknown, &to).unwrap_err();
+    let error = store.get(&unknown, ANY, &to).unwrap_err();
     assert!(matches!(error, ArtefactError::Missing { digest, .. } if digest == unknown), "{error}");
     // A file that is not what it is to be is not stored.
     for bytes in [10, 14 << 20] {
@@ -126,14 +129,23 @@ fn refuses(store: &dyn ArtefactStore, write_other: &dyn Fn(&ArtefactDigest, &[u8
     let digest = ArtefactDigest::of(b"the right bytes");
     write_other(&digest, b"other bytes");
     assert!(store.has(&digest).unwrap());
-    let error = store.get(&digest, &to).unwrap_err();
+    let error = store.get(&digest, ANY, &to).unwrap_err();
     assert!(error.to_string().contains(&digest.to_string()), "{error}");
     let found = ArtefactDigest::of(b"other bytes");
     assert!(matches!(error, ArtefactError::Damaged { found: f, .. } if f == found), "{error}");
     assert_eq!(std::fs::read_dir(dir.join("refused")).unwrap().count(), 0, "nothing is left of it");
+    // It is longer, or shorter, than it may be.
+    let digest = file_of(from, 300_000, 6);
+    store.put(&digest, from).unwrap();
+    let long = store.get(&digest, 0..=299_999, &to).unwrap_err();
+    assert!(matches!(long, ArtefactError::Long { most: 299_999, .. }), "{long}");
+    let short = store.get(&digest, 300_001..=300_001, &to).unwrap_err();
+    assert!(matches!(short, ArtefactError::Short { received: 300_000, .. }), "{short}");
+    assert_eq!(std::fs::read_dir(dir.join("refused")).unwrap().count(), 0, "nothing is left of them");
     // A file that was there stays.
+    let digest = ArtefactDigest::of(b"the right bytes");
     std::fs::write(&to, "before").unwrap();
-    store.get(&digest, &to).unwrap_err();
+    store.get(&digest, ANY, &to).unwrap_err();
     assert_eq!(std::fs::read(&to).unwrap(), b"before");
 }
 
