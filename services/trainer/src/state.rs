@@ -9,7 +9,7 @@ use crate::refined_pose::RefinedPose;
 use crate::sampler::Sampler;
 use crate::splat_budget::SplatBudget;
 use segwild_objective::AnyAppearance;
-use segwild_objective::background::Background;
+use segwild_objective::background::{BASES, Background};
 use segwild_objective::transients::ResidualHistograms;
 use segwild_scene::{Mask, Random};
 use wincode::{SchemaRead, SchemaWrite};
@@ -98,6 +98,22 @@ impl TrainState {
         if per_view.into_iter().any(|n| n != views) || self.sampler.views().iter().any(|&v| v >= views) {
             return Err(TrainError::Checkpoint("it is damaged: its lists of photos differ in length".into()));
         }
+        if !self.robust.consistent() {
+            return Err(TrainError::Checkpoint(
+                "it is damaged: its histograms of residuals do not fit its photos".into(),
+            ));
+        }
+        let sound = |background: &Background| (1..=BASES).contains(&background.coefficients.len());
+        if !self.backgrounds.iter().flatten().all(sound) {
+            return Err(TrainError::Checkpoint(
+                "it is damaged: a background has another number of coefficients".into(),
+            ));
+        }
+        if !self.strategy.fits(self.params.trained()) {
+            return Err(TrainError::Checkpoint(
+                "it is damaged: the sums of its density control do not fit its splats".into(),
+            ));
+        }
         if !self.refined.iter().flatten().all(RefinedPose::is_sound) {
             return Err(TrainError::Checkpoint(
                 "it is damaged: a refined pose is no rotation with a finite translation".into(),
@@ -130,4 +146,66 @@ pub(crate) fn mean_quality(views: &[usize], quality: &[Option<f32>]) -> Option<f
     let known: Vec<f32> = views.iter().filter_map(|&v| quality[v]).collect();
     (!known.is_empty() && known.len() * 10 >= views.len().min(100) * 9)
         .then(|| known.iter().sum::<f32>() / known.len() as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{TrainSettings, appearances};
+    use segwild_scene::Splats;
+
+    /// Of one photo and one splat.
+    fn state() -> TrainState {
+        let settings = TrainSettings::default();
+        let splats = Splats {
+            means: vec![[0.0; 3]],
+            log_scales: vec![[-3.0; 3]],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacities: vec![1.0],
+            sh: vec![0.0; 3],
+            ..Splats::default()
+        };
+        TrainState {
+            step: 1,
+            params: Params::new(splats, Vec::new()),
+            strategy: Strategy::new(&settings, 1),
+            appearance: appearances::initial(&settings, 1),
+            backgrounds: vec![Some(Background::constant([0.5; 3]))],
+            robust: ResidualHistograms::new(vec![0.2], vec![None]),
+            initial_transients: vec![None],
+            sampler: Sampler::new(&[0]),
+            random: Random::new(1),
+            quality: vec![None],
+            refined: vec![None],
+            open_poses: vec![false],
+            skipped: Vec::new(),
+            pause_until: 0,
+            pixel: 0.01,
+            splat_budget: SplatBudget::new(&settings, 1, 1, 100),
+            since: ([0.0; 3], 0),
+        }
+    }
+
+    #[test]
+    fn a_forged_checkpoint_is_refused_before_a_step_panics() {
+        state().check(1).unwrap();
+        let background = |n: usize| Some(Background { coefficients: vec![[0.5; 3]; n] });
+        let histogram = |n: usize| {
+            let mut robust = ResidualHistograms::new(vec![0.2], vec![None]);
+            robust.update(0, vec![0.0; n]);
+            robust
+        };
+        let strategy = |n: usize| Strategy::new(&TrainSettings::default(), n);
+        for (forged, words) in [
+            (TrainState { backgrounds: vec![background(0)], ..state() }, "coefficients"),
+            (TrainState { backgrounds: vec![background(BASES + 1)], ..state() }, "coefficients"),
+            (TrainState { robust: histogram(3), ..state() }, "histograms"),
+            (TrainState { strategy: strategy(0), ..state() }, "density control"),
+            (TrainState { strategy: strategy(2), ..state() }, "density control"),
+        ] {
+            let refused = forged.check(1).unwrap_err();
+            assert!(matches!(refused, TrainError::Checkpoint(_)), "{refused}");
+            assert!(refused.to_string().contains(words), "{refused}");
+        }
+    }
 }

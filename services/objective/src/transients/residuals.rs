@@ -40,6 +40,12 @@ impl ResidualHistograms {
         &self.shares
     }
 
+    /// Whether there is a histogram for every photo, each empty or with all its bins: what comes out of a file may be damaged.
+    pub fn consistent(&self) -> bool {
+        let whole = |histogram: &Vec<f32>| histogram.is_empty() || histogram.len() == BINS;
+        self.histograms.len() == self.shares.len() && self.histograms.iter().all(whole)
+    }
+
     /// What is known of a photo's residuals.
     pub fn known(&self, photo: usize) -> Residuals<'_> {
         Residuals { before: &self.histograms[photo], share: self.shares[photo] }
@@ -238,6 +244,17 @@ mod tests {
 
     fn kept(weights: &Option<Vec<f32>>) -> f32 {
         weights.as_ref().map_or(1.0, |w| w.iter().sum::<f32>() / w.len() as f32)
+    }
+
+    #[test]
+    fn histograms_that_are_fewer_than_the_photos_or_lack_bins_are_damaged() {
+        let mut known = ResidualHistograms::new(vec![0.2; 2], vec![None; 2]);
+        known.update(0, vec![0.0; BINS]);
+        assert!(known.consistent());
+        let mut lacks = known.clone();
+        lacks.update(1, vec![0.0; BINS - 1]);
+        known.histograms.pop();
+        assert!(!known.consistent() && !lacks.consistent());
     }
 
     #[test]

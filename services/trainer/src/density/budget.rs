@@ -16,7 +16,7 @@ const STRIDE: f64 = 0.6;
 
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub(crate) struct BudgetStrategy {
-    stats: DensityStats,
+    pub(super) stats: DensityStats,
     /// Splats at the start.
     first: usize,
     from: u32,

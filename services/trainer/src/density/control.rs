@@ -113,6 +113,12 @@ impl DensityStats {
         }
     }
 
+    /// Whether there are the sums of so many splats: those that come out of a file may be damaged.
+    pub fn fits(&self, splats: usize) -> bool {
+        let DensityStats { gradient, error, seen, radius } = self;
+        [gradient, error, seen, radius].into_iter().all(|sums| sums.len() == splats)
+    }
+
     /// Per splat the sums in the order of [`segwild_objective::TrainingSplats::sums`].
     pub fn rows(&self) -> Vec<[f32; 4]> {
         let sums = self.gradient.iter().zip(&self.error).zip(&self.seen).zip(&self.radius);

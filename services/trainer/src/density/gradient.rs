@@ -19,7 +19,7 @@ const RESET: f32 = 0.01;
 
 #[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
 pub(crate) struct Gradient {
-    stats: DensityStats,
+    pub(super) stats: DensityStats,
     from: u32,
     until: u32,
     every: u32,

@@ -34,6 +34,15 @@ impl Strategy {
         }
     }
 
+    /// Whether what it has summed up is that of so many splats: what comes out of a file may be damaged.
+    pub fn fits(&self, splats: usize) -> bool {
+        match self {
+            Strategy::Budget(s) => s.stats.fits(splats),
+            Strategy::Gradient(s) => s.stats.fits(splats),
+            Strategy::Mcmc(_) => true,
+        }
+    }
+
     pub fn as_dyn(&mut self) -> &mut dyn Density {
         match self {
             Strategy::Budget(s) => s,
