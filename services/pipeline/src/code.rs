@@ -138,7 +138,7 @@ pub(crate) fn recorded(folder: &RunFolder) -> Vec<NetworkFile> {
     if let Ok(networks) = folder.read_json::<Vec<NetworkFile>>(RECORD) {
         return networks;
     }
-    let Ok(settings) = Settings::layered(Some(&folder.settings_file()), &[]) else { return Vec::new() };
+    let Ok(settings) = Settings::recorded_with_code(&folder.settings_file()) else { return Vec::new() };
     let VisionSettings { models, transient_network, .. } = settings.vision;
     let named = [("models", models), ("transient_network", transient_network)];
     let named = named.into_iter().filter(|(_, file)| !file.is_empty());
@@ -241,6 +241,22 @@ mod tests {
         Code { environment: environment("/elsewhere"), ..Code::default() }.tell(&mut named);
         assert_eq!(named.models, "/elsewhere");
         nothing.names_networks_of(&folder, &named).unwrap();
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_received_folder_whose_settings_are_a_pipe_or_an_endless_device_does_not_hang() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = RunFolder::at(dir.path());
+        let file = folder.settings_file();
+        std::fs::write(&file, "[vision]\nmodels = \"/nets\"\n").unwrap();
+        assert_eq!(recorded(&folder), [network("models", "/nets", "")]);
+        std::fs::remove_file(&file).unwrap();
+        std::os::unix::fs::symlink("/dev/zero", &file).unwrap();
+        assert!(recorded(&folder).is_empty() && Settings::recorded(&file, &[]).is_err());
+        std::fs::remove_file(&file).unwrap();
+        assert!(std::process::Command::new("mkfifo").arg(&file).status().unwrap().success());
+        assert!(recorded(&folder).is_empty() && Settings::recorded(&file, &[]).is_err());
     }
 
     #[test]

@@ -96,7 +96,8 @@ pub fn settings(matches: &ArgMatches, folder: &RunFolder) -> Result<Settings, Fa
     let (own, kept, flags) =
         (path_of(matches, "config"), folder.settings_file(), crate::args::given(matches));
     let mut settings = match own {
-        None if kept.is_file() => Settings::recorded(&kept, &flags)?,
+        // What is no plain file is refused there, in words.
+        None if kept.exists() => Settings::recorded(&kept, &flags)?,
         own => Settings::layered(own.as_deref(), &flags)?,
     };
     let code = Code::given(&flags);

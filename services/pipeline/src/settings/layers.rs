@@ -54,6 +54,12 @@ impl Settings {
         Settings::layered_over(&values, Some(file), flags)
     }
 
+    /// As [`Settings::recorded`] without flags, but with the paths of code: to show them, never to load what they name.
+    pub(crate) fn recorded_with_code(file: &Path) -> Result<Settings, SettingsError> {
+        let values = read_pairs(file, files::read_plain(file))?;
+        Settings::layered_over(&values, Some(file), &[])
+    }
+
     fn layered_over(
         values: &[(String, String)],
         file: Option<&Path>,

@@ -31,7 +31,7 @@ impl<'a> LineFields<'a> {
         let Some(word) = self.word() else {
             return Err(self.invalid(format!("the line ends before {what}")));
         };
-        word.parse().map_err(|_| self.invalid(format!("`{word}` is no {what}")))
+        word.parse().map_err(|_| self.unlike(word, what))
     }
 
     fn values<const N: usize>(&mut self, what: &str) -> Result<[f64; N], SceneError> {
@@ -42,8 +42,20 @@ impl<'a> LineFields<'a> {
         Ok(values)
     }
 
+    fn unlike(&self, word: &str, what: &str) -> SceneError {
+        self.invalid(format!("`{}` is no {what}", shortened(word)))
+    }
+
     fn invalid(&self, reason: String) -> SceneError {
         SceneError::invalid(self.path, format!("line {}", self.line), reason)
+    }
+}
+
+/// A word as a message quotes it: of a long one only the start, since a damaged file may be a single word of gigabytes.
+fn shortened(word: &str) -> String {
+    match word.char_indices().nth(80) {
+        Some((end, _)) => format!("{}...", &word[..end]),
+        None => word.to_owned(),
     }
 }
 
@@ -65,7 +77,7 @@ pub(super) fn cameras(dir: &Path) -> Result<ReadCameras, SceneError> {
         let id = words.value("camera id")?;
         let name: String = words.value("camera model")?;
         let Some(model) = CameraModel::from_name(&name) else {
-            unknown_cameras.push((id, name));
+            unknown_cameras.push((id, shortened(&name)));
             continue;
         };
         let (width, height) = (words.value("width")?, words.value("height")?);
@@ -101,7 +113,7 @@ pub(super) fn images(dir: &Path, keep: &mut KeepFeature<'_>) -> Result<Vec<Image
             let mut words = LineFields { path: &path, line: i + 1, rest: line };
             let mut index = 0;
             while let Some(x) = words.word() {
-                let x = x.parse().map_err(|_| words.invalid(format!("`{x}` is no pixel position")))?;
+                let x = x.parse().map_err(|_| words.unlike(x, "pixel position"))?;
                 let y = words.value("pixel position")?;
                 let point: i64 = words.value("point id")?;
                 let keypoint = Keypoint { pixel: [x, y], point: u64::try_from(point).ok() };
@@ -129,7 +141,7 @@ pub(super) fn points(dir: &Path) -> Result<Vec<PointRecord>, SceneError> {
         let error = words.value("error")?;
         let mut track = Vec::new();
         while let Some(image) = words.word() {
-            let image = image.parse().map_err(|_| words.invalid(format!("`{image}` is no image id")))?;
+            let image = image.parse().map_err(|_| words.unlike(image, "image id"))?;
             track.push((image, words.value("keypoint index")?));
         }
         points.push(PointRecord { id, position, colour, error, track });

@@ -56,6 +56,17 @@ pub enum DecodeError {
         /// Size of the file.
         bytes: u64,
     },
+    /// The file is larger than that of any image which the setting allows.
+    #[error(
+        "the file has {bytes} bytes, and {most} are enough for the largest image that --max-megapixels allows: it is damaged; \
+         copy it again"
+    )]
+    TooLarge {
+        /// Size of the file.
+        bytes: u64,
+        /// Most bytes that are allowed.
+        most: u64,
+    },
     /// A JPEG's data are far larger than its image.
     #[error("the JPEG has {bytes} bytes for {width} x {height} pixels: it is damaged")]
     TooManyBytes {

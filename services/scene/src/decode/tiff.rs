@@ -3,6 +3,9 @@
 use super::DecodeError;
 use std::io::{Read, Seek, SeekFrom};
 
+/// Most entries of a directory: only a BigTIFF can claim more.
+const MOST_ENTRIES: u64 = 65_536;
+
 /// Bytes of a value, by its type.
 fn size_of(kind: u16) -> u64 {
     match kind {
@@ -43,24 +46,43 @@ impl<R: Read + Seek> TiffReader<R> {
         Some(bytes)
     }
 
-    /// Looks for an entry whose values take more than `most` bytes; its tag and how many it claims.
-    fn too_many(&mut self, most: u64) -> Option<(u64, u64)> {
+    /// Looks for more entries than any TIFF has, and for an entry whose values take more than the `length` bytes of the file.
+    fn too_many(&mut self, length: u64) -> Option<DecodeError> {
         let bytes = self.first_directory()?;
-        for _ in 0..self.next(if bytes == 8 { 8 } else { 2 })? {
+        let entries = self.next(if bytes == 8 { 8 } else { 2 })?;
+        if entries > MOST_ENTRIES {
+            let reason = "the TIFF's directory claims more than 65,536 entries: it is damaged; copy it again";
+            return Some(DecodeError::Malformed(reason));
+        }
+        for _ in 0..entries {
             let (tag, kind, count) = (self.next(2)?, self.next(2)?, self.next(bytes)?);
             self.next(bytes)?;
-            if count.saturating_mul(size_of(kind as u16)) > most {
-                return Some((tag, count));
+            if count.saturating_mul(size_of(kind as u16)) > length {
+                return Some(DecodeError::TiffCount { tag, count, bytes: length });
             }
         }
         None
     }
 }
 
-/// Refuses a file of `length` bytes whose first directory claims more values than these can hold.
+/// Refuses a file of `length` bytes whose first directory claims more entries than any has, or more values than these can hold.
 pub(crate) fn check_counts(file: impl Read + Seek, length: u64) -> Result<(), DecodeError> {
-    match (TiffReader { file, big_endian: false }).too_many(length) {
-        None => Ok(()),
-        Some((tag, count)) => Err(DecodeError::TiffCount { tag, count, bytes: length }),
+    TiffReader { file, big_endian: false }.too_many(length).map_or(Ok(()), Err)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bigtiff_whose_directory_claims_endless_entries_is_refused_before_they_are_read() {
+        let claims = |entries: u64| {
+            let mut file = b"II\x2b\0\x08\0\0\0\x10\0\0\0\0\0\0\0".to_vec();
+            file.extend(entries.to_le_bytes());
+            check_counts(std::io::Cursor::new(file), 1 << 40)
+        };
+        claims(MOST_ENTRIES).unwrap();
+        let refused = claims(MOST_ENTRIES + 1).unwrap_err().to_string();
+        assert!(refused.contains("more than 65,536 entries"), "{refused}");
     }
 }

@@ -259,6 +259,16 @@ fn bad_text_is_refused_with_its_line() {
 }
 
 #[test]
+fn an_endless_word_of_a_text_file_is_not_quoted_whole() {
+    let dir = temp();
+    let to = dir.path().join("sparse/0");
+    colmap::write_text(&to, &line(2)).unwrap();
+    std::fs::write(to.join("cameras.txt"), "9".repeat(1 << 20)).unwrap();
+    let text = message(open(dir.path()));
+    assert!(text.contains("999...` is no camera id") && text.len() < 1_000, "{} bytes", text.len());
+}
+
+#[test]
 fn a_folder_without_a_scene_says_what_was_looked_for() {
     let dir = temp();
     let text = message(open(dir.path()));

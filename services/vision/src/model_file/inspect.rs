@@ -10,7 +10,7 @@ use std::io::Read;
 use std::path::{Component, Path, PathBuf};
 
 /// Protobuf allows no larger file; larger networks keep their weights in a second one.
-const LARGEST: u64 = 2 << 30;
+pub(super) const LARGEST: u64 = 2 << 30;
 /// Most bytes of weights in files beside the network's.
 const LARGEST_BESIDE: u64 = 16 << 30;
 /// Most numbers in one declared input or output: 512 MiB of them.
