@@ -48,6 +48,7 @@ const SAGA: Changes = &[
 
 /// GS-W (Zhang et al. 2024) with the clicked photo's mask projected: every splat whose centre lies in it is selected.
 const PROJECTION: Changes = &[
+    ("first_answer", "photo"),
     ("propagate", "0"),
     ("evidence_mode", "centre"),
     ("similarity_use", "off"),
@@ -58,6 +59,7 @@ const PROJECTION: Changes = &[
 
 /// FlashSplat (Shen et al. 2024): the labels that fit the masks best, in closed form: light inside against light outside.
 const FLASHSPLAT: Changes = &[
+    ("first_answer", "photo"),
     ("vote", "light"),
     ("least_evidence", "0"),
     ("undecided", "out"),
@@ -67,8 +69,13 @@ const FLASHSPLAT: Changes = &[
 ];
 
 /// GaussianCut (Jain et al. 2024): masks of many photos as weights, smoothed by a minimum cut over neighbours.
-const GRAPH_CUT: Changes =
-    &[("similarity_use", "off"), ("graph_cut", "true"), ("components", "all"), ("spikes", "off")];
+const GRAPH_CUT: Changes = &[
+    ("first_answer", "photo"),
+    ("similarity_use", "off"),
+    ("graph_cut", "true"),
+    ("components", "all"),
+    ("spikes", "off"),
+];
 
 /// The rows.
 pub const BASELINES: &[Variant] = &[
