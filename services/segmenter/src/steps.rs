@@ -25,5 +25,5 @@ pub trait AnswerSteps: Sync {
     fn cancelled(&self) -> bool;
 }
 
-/// Photos after which an earlier answer is published, and after which the photos are selected anew.
+/// Photos after which an earlier answer is published, and after which the photos are selected again.
 pub(crate) const PUBLISHED_AFTER: usize = 8;
