@@ -112,7 +112,7 @@ fn lies_beyond(boxes: &[BoxPrompt], photo: &Camera, at: Vec3) -> bool {
         return boxes.iter().all(closed);
     }
     let pixel = photo.pixel(at);
-    !photo.contains(pixel) && !boxes.iter().any(|b| holds(b, 0.0, pixel.x, pixel.y))
+    !photo.contains(pixel) && !boxes.iter().any(|b| holds(b, pixel.x, pixel.y))
 }
 
 /// Whether a positive click hits mostly splats that the boxes leave out: then the boxes are no bounds.
@@ -126,26 +126,26 @@ fn contradicted(positive: &[ClickHit], left_out: impl Fn(usize) -> bool) -> bool
 /// Whether a photo's boxes hold all that was clicked there as part of the object.
 fn bounds(prompt: &PromptedView) -> bool {
     let mut meant = prompt.points.iter().filter(|p| p.inside);
-    !prompt.boxes.is_empty() && meant.all(|p| prompt.boxes.iter().any(|b| holds(b, 0.0, p.x, p.y)))
+    !prompt.boxes.is_empty() && meant.all(|p| prompt.boxes.iter().any(|b| holds(b, p.x, p.y)))
 }
 
-/// Whether a box, widened on each side by a margin, holds a position; all in pixels of one photo.
-fn holds(b: &BoxPrompt, margin: f32, x: f32, y: f32) -> bool {
-    let wide = widened(b, margin);
-    (wide.x0..=wide.x1).contains(&x) && (wide.y0..=wide.y1).contains(&y)
+/// Whether a box, whatever the order of its corners, holds a position; both in pixels of one photo.
+fn holds(b: &BoxPrompt, x: f32, y: f32) -> bool {
+    let ordered = widened(b, 0.0);
+    (ordered.x0..=ordered.x1).contains(&x) && (ordered.y0..=ordered.y1).contains(&y)
 }
 
 /// A mask of a photo without what lies outside of its box and margin, unless a positive click does. Prompts have the pixels of
 /// `camera`.
 pub(crate) fn within_box(mask: &Mask, prompts: &Prompts, camera: &Camera) -> Mask {
     let Some(wide) = prompts.boxes.first().map(with_margin) else { return mask.clone() };
-    if prompts.points.iter().any(|point| point.inside && !holds(&wide, 0.0, point.x, point.y)) {
+    if prompts.points.iter().any(|point| point.inside && !holds(&wide, point.x, point.y)) {
         return mask.clone();
     }
     let (width, height) = (mask.width(), mask.height());
     let scale = [camera.width as f32 / width as f32, camera.height as f32 / height as f32];
     Mask::from_fn(width, height, |x, y| {
-        mask.get(x, y) && holds(&wide, 0.0, (x as f32 + 0.5) * scale[0], (y as f32 + 0.5) * scale[1])
+        mask.get(x, y) && holds(&wide, (x as f32 + 0.5) * scale[0], (y as f32 + 0.5) * scale[1])
     })
 }
 
@@ -167,6 +167,6 @@ fn within(prompt: &PromptedView, photo: &Camera, working: &Camera) -> Mask {
     let mask = prompt.mask.resized(working.width, working.height);
     Mask::from_fn(working.width, working.height, |x, y| {
         let (u, v) = ((x as f32 + 0.5) * sx, (y as f32 + 0.5) * sy);
-        mask.get(x, y) || prompt.boxes.iter().any(|b| holds(b, margin(b), u, v))
+        mask.get(x, y) || prompt.boxes.iter().any(|b| holds(&with_margin(b), u, v))
     })
 }

@@ -342,14 +342,14 @@ impl Session {
             (None, None) => {
                 check_all(&replay.prompts)?;
                 let mut queries: Vec<(usize, Prompts)> = Vec::new();
-                for (view, mut prompts) in
-                    replay.prompts.iter().map(|p| self.query(p)).collect::<Result<Vec<_>, _>>()?
-                {
+                for p in &replay.prompts {
+                    let (view, mut prompts) = self.query(p)?;
                     // A photo that is named twice is one photo.
                     match queries.iter_mut().find(|(other, _)| *other == view) {
                         Some((_, all)) => {
                             all.points.append(&mut prompts.points);
                             all.boxes.append(&mut prompts.boxes);
+                            all.granularity = all.granularity.or(prompts.granularity);
                         }
                         None => queries.push((view, prompts)),
                     }
