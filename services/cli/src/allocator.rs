@@ -18,3 +18,38 @@ pub fn share_heaps() {
 /// Other allocators share their memory among threads by themselves.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 pub fn share_heaps() {}
+
+/// Images of the size of a run that a heap keeps when they are freed. A step of the training makes and frees some twenty of them; each
+/// that went back to the system would come again page by page, which is a quarter of a step at 1600 px
+/// (docs/experiments/2026-12-01-steps-on-large-photos.md).
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+const KEPT_IMAGES: u64 = 12;
+/// Share of the memory budget that it keeps at most.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+const OF_BUDGET: u64 = 16;
+
+/// Keeps freed images of a run whose photos have such a long side, within its memory budget in MiB (0: none).
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+pub fn keep_images(long_side: u32, budget_mib: u32) {
+    let own = ["MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_"];
+    if own.iter().any(|name| std::env::var_os(name).is_some()) {
+        return;
+    }
+    // Three planes of numbers, 4 to 3.
+    let image = u64::from(long_side).pow(2) * 3 / 4 * 12;
+    let most = if budget_mib == 0 { u64::MAX } else { (u64::from(budget_mib) << 20) / OF_BUDGET };
+    let bytes = |bytes: u64| libc::c_int::try_from(bytes).unwrap_or(libc::c_int::MAX);
+    // SAFETY: they only set numbers. Where one is refused, nothing has changed.
+    unsafe {
+        libc::mallopt(libc::M_MMAP_THRESHOLD, bytes((2 * image).min(LARGEST_OF_A_HEAP)));
+        libc::mallopt(libc::M_TRIM_THRESHOLD, bytes((KEPT_IMAGES * image).min(most)));
+    }
+}
+
+/// The C library's bound on what it takes from a heap instead of from the system.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+const LARGEST_OF_A_HEAP: u64 = 32 << 20;
+
+/// Other allocators decide by themselves.
+#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+pub fn keep_images(_long_side: u32, _budget_mib: u32) {}

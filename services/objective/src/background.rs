@@ -4,7 +4,9 @@ use crate::photo_target::PhotoTarget;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use segwild_nn::solve;
-use segwild_scene::{Camera, Image, Pose};
+use segwild_scene::{Camera, Image, Pose, TASK_PIXELS, in_pieces, per_piece};
+use std::array;
+use std::ops::Range;
 use wincode::{SchemaRead, SchemaWrite};
 
 /// Basis functions of a sky: spherical harmonics up to order 2.
@@ -116,12 +118,14 @@ impl Background {
 
 /// The basis functions in a direction, without the usual constants: they would only rescale the coefficients. The first
 /// is 1.
+#[inline]
 pub fn basis(d: Vec3) -> [f32; BASES] {
     let Vec3 { x, y, z } = d;
     [1.0, x, y, z, x * y, y * z, x * z, x * x - y * y, 3.0 * z * z - 1.0]
 }
 
 /// World direction of the ray through a pixel's centre, normalised.
+#[inline]
 pub fn direction(camera: &Camera, pose: &Pose, x: usize, y: usize) -> Vec3 {
     let ray = camera.ray(Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
     (pose.rotation.transpose() * ray).normalize()
@@ -129,6 +133,7 @@ pub fn direction(camera: &Camera, pose: &Pose, x: usize, y: usize) -> Vec3 {
 
 /// Background colour in a direction, in the scene's colours, unbounded: behind a dark statue before a bright sky it is
 /// many times the range of an image, and the photo's appearance maps it back.
+#[inline]
 pub fn background(coefficients: &[[f32; 3]], direction: Vec3) -> [f32; 3] {
     let mut out = [0.0; 3];
     for (b, c) in basis(direction).iter().zip(coefficients) {
@@ -189,11 +194,11 @@ impl SkySums {
         camera: &Camera,
         pose: &Pose,
         stride: usize,
-        seen: impl Fn(usize) -> Option<([f32; 3], f32)>,
+        seen: impl Fn(usize) -> Option<([f32; 3], f32)> + Sync,
     ) -> SkySums {
         let (w, h) = (camera.width as usize, camera.height as usize);
-        let mut sums = SkySums::default();
-        for y in (0..h).step_by(stride) {
+        let of_row = |row: usize| {
+            let (y, mut sums) = (row * stride, SkySums::default());
             for x in (0..w).step_by(stride) {
                 sums.looked += 1.0;
                 let Some((colour, weight)) = seen(y * w + x) else { continue };
@@ -201,8 +206,23 @@ impl SkySums {
                 sums.total += weight;
                 sums.add(direction(camera, pose, x, y), colour, weight);
             }
-        }
-        sums
+            sums
+        };
+        let task = TASK_PIXELS.div_ceil((w * stride).max(1));
+        let rows = (0..h.div_ceil(stride)).into_par_iter().with_min_len(task).map(of_row);
+        // In the order of the rows: the same on any number of cores.
+        let rows: Vec<SkySums> = rows.collect();
+        rows.iter().fold(SkySums::default(), |sums, row| sums.plus(row))
+    }
+
+    fn plus(mut self, other: &SkySums) -> SkySums {
+        let products = self.products.as_flattened_mut().iter_mut().zip(other.products.as_flattened());
+        products.for_each(|(sum, v)| *sum += v);
+        let colours = self.colours.as_flattened_mut().iter_mut().zip(other.colours.as_flattened());
+        colours.for_each(|(sum, v)| *sum += v);
+        self.total += other.total;
+        self.looked += other.looked;
+        self
     }
 
     /// Of a photo: its sky, and whatever else no splat covers (a sea, a haze), so that no splat has to float there.
@@ -249,26 +269,38 @@ pub const HOLD: f32 = 0.01;
 
 impl ColourSums {
     pub(super) fn of(shown: &Image, photo: &Image, alpha: &Image, weights: &[f32]) -> ColourSums {
-        let mut sums = ColourSums { pull: [0.0; 3], total: HOLD * alpha.pixels() as f32 };
-        for (a, w) in alpha.data.iter().zip(weights) {
-            sums.total += w * (1.0 - a) * (1.0 - a);
-        }
-        for c in 0..3 {
-            for (((s, t), a), w) in shown.plane(c).iter().zip(photo.plane(c)).zip(&alpha.data).zip(weights) {
-                sums.pull[c] += w * (1.0 - a) * (t - s);
+        let of_piece = |piece: Range<usize>| {
+            let mut sums = [0.0f32; 4];
+            for i in piece.clone() {
+                let open = 1.0 - alpha.data[i];
+                sums[3] += weights[i] * open * open;
             }
-        }
-        sums
+            for (c, sum) in sums.iter_mut().enumerate().take(3) {
+                let (shown, photo) = (&shown.plane(c)[piece.clone()], &photo.plane(c)[piece.clone()]);
+                let open = alpha.data[piece.clone()].iter().zip(&weights[piece.clone()]);
+                for ((s, t), (a, w)) in shown.iter().zip(photo).zip(open) {
+                    *sum += w * (1.0 - a) * (t - s);
+                }
+            }
+            sums.map(f64::from)
+        };
+        let pieces = per_piece(alpha.pixels(), of_piece);
+        let [r, g, b, open] =
+            pieces.iter().fold([0.0; 4], |sums, piece| array::from_fn(|k| sums[k] + piece[k]));
+        let total = HOLD * alpha.pixels() as f32 + open as f32;
+        ColourSums { pull: [r, g, b].map(|v| v as f32), total }
     }
 }
 
 /// Adds `(1 - alpha) * background`.
 pub fn add_background(image: &mut Image, alpha: &Image, background: &Image) {
     for c in 0..3 {
-        let plane = image.plane_mut(c);
-        for ((v, a), b) in plane.iter_mut().zip(&alpha.data).zip(background.plane(c)) {
-            *v += (1.0 - a) * b;
-        }
+        let background = background.plane(c);
+        in_pieces(image.plane_mut(c), |first, piece| {
+            for ((v, a), b) in piece.iter_mut().zip(&alpha.data[first..]).zip(&background[first..]) {
+                *v += (1.0 - a) * b;
+            }
+        });
     }
 }
 

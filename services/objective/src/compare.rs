@@ -12,7 +12,8 @@ use crate::photometric;
 use crate::transients::{self, Residuals, VisibilityMap, leave_out, relative};
 use segwild_nn::{Lpips, Map};
 use segwild_raster::Frame;
-use segwild_scene::{Camera, Image, Pose, box_mean};
+use segwild_scene::{Camera, Image, Pose, box_mean, in_pieces, per_piece, per_pixel};
+use std::ops::Range;
 
 /// Half width of the window over which errors are averaged for density control.
 pub const ERROR_WINDOW: usize = 2;
@@ -107,14 +108,14 @@ pub fn compare(
     seeing: Option<&VisibilityMap>,
     perceptual: Option<&PerceptualLoss>,
 ) -> Compared {
-    let Composed { background, scene, shown, residual } = compose(frame, target, loss_inputs);
     let photo = target.image();
+    let Composed { background, scene, shown, residual } = compose(frame, &photo, loss_inputs);
     let (mut residuals, mut part_residuals) = (None, Vec::new());
     let kept = match loss_inputs.leave_out {
         LeaveOut::None => None,
         LeaveOut::InitialTransients => {
-            let keep = |p: &[u8; 4]| f32::from(u8::from(p[3] & PhotoTarget::INITIAL_TRANSIENT == 0));
-            Some(target.pixels.iter().map(keep).collect())
+            let keep = |i: usize| f32::from(u8::from(!target.is(i, PhotoTarget::INITIAL_TRANSIENT)));
+            Some(per_pixel(target.pixels.len(), keep))
         }
         LeaveOut::Residual(before) => {
             let uncertain = target.uncertain(&residual);
@@ -201,7 +202,7 @@ struct Composed {
     residual: Vec<f32>,
 }
 
-fn compose(frame: &Frame, target: &PhotoTarget, loss_inputs: &LossInputs) -> Composed {
+fn compose(frame: &Frame, photo: &Image, loss_inputs: &LossInputs) -> Composed {
     let background = paint(loss_inputs.background, loss_inputs.camera, loss_inputs.pose);
     let mut scene = frame.image.clone();
     add_background(&mut scene, &frame.alpha, &background);
@@ -209,34 +210,40 @@ fn compose(frame: &Frame, target: &PhotoTarget, loss_inputs: &LossInputs) -> Com
         Some(matrix) => apply_matrix(matrix, &scene),
         None => scene.clone(),
     };
-    let residual = mean_difference(&shown, &target.image());
+    let residual = mean_difference(&shown, photo);
     Composed { background, scene, shown, residual }
 }
 
 /// Mean absolute colour difference per pixel.
 pub fn mean_difference(a: &Image, b: &Image) -> Vec<f32> {
-    let n = a.pixels();
-    let mut out = vec![0.0f32; n];
-    for c in 0..3 {
-        for ((o, x), y) in out.iter_mut().zip(a.plane(c)).zip(b.plane(c)) {
-            *o += (x - y).abs() * (1.0 / 3.0);
+    let mut out = vec![0.0f32; a.pixels()];
+    in_pieces(&mut out, |first, piece| {
+        for c in 0..3 {
+            for ((o, x), y) in piece.iter_mut().zip(&a.plane(c)[first..]).zip(&b.plane(c)[first..]) {
+                *o += (x - y).abs() * (1.0 / 3.0);
+            }
         }
-    }
+    });
     out
 }
 
 /// Weight per pixel (1 counts, 0 does not), and the share of the counted pixels that `kept` leaves out.
 fn pixel_weights(target: &PhotoTarget, kept: Option<&[f32]>) -> (Image, f32) {
-    let data =
-        (0..target.pixels.len()).map(|i| f32::from(u8::from(target.is(i, PhotoTarget::COUNTS)))).collect();
-    let mut weights = Image { width: target.width, height: target.height, channels: 1, data };
-    let Some(kept) = kept else { return (weights, 0.0) };
-    let before: f32 = weights.data.iter().sum();
-    for (w, k) in weights.data.iter_mut().zip(kept) {
-        *w *= k;
-    }
-    let after: f32 = weights.data.iter().sum();
-    (weights, left_out_share(before, after))
+    let counts = |i: usize| f32::from(u8::from(target.is(i, PhotoTarget::COUNTS)));
+    let data = match kept {
+        None => per_pixel(target.pixels.len(), counts),
+        Some(kept) => per_pixel(target.pixels.len(), |i| counts(i) * kept[i]),
+    };
+    let left_out = kept.map_or(0.0, |_| {
+        let sums = per_piece(data.len(), |piece| {
+            let before: f32 = piece.clone().map(counts).sum();
+            [before, data[piece].iter().sum()].map(f64::from)
+        });
+        let [before, after] =
+            sums.iter().fold([0.0; 2], |sums, piece| [sums[0] + piece[0], sums[1] + piece[1]]);
+        left_out_share(before as f32, after as f32)
+    });
+    (Image { width: target.width, height: target.height, channels: 1, data }, left_out)
 }
 
 /// Share of the weight `before` that is gone `after`.
@@ -247,15 +254,23 @@ pub fn left_out_share(before: f32, after: f32) -> f32 {
 /// -10 log10 of the weighted mean squared error of the first three channels, by which a training is followed: at most 100 dB,
 /// also where a pixel is NaN, and 0 dB where no pixel counts. [`crate::psnr`] is the unbounded one of reports.
 pub fn weighted_psnr(a: &Image, b: &Image, weights: &[f32]) -> f32 {
-    let mut sum = 0.0f64;
-    for c in 0..3 {
-        // Rows in f32, their sums in f64: exact enough and fast.
-        for ((x, y), w) in a.plane(c).chunks(256).zip(b.plane(c).chunks(256)).zip(weights.chunks(256)) {
-            let part: f32 = x.iter().zip(y).zip(w).map(|((x, y), w)| w * (x - y) * (x - y)).sum();
-            sum += f64::from(part);
+    let of_piece = |piece: Range<usize>| {
+        let weights = &weights[piece.clone()];
+        let mut sum = 0.0f64;
+        for c in 0..3 {
+            let (a, b) = (&a.plane(c)[piece.clone()], &b.plane(c)[piece.clone()]);
+            // Rows in f32, their sums in f64: exact enough and fast.
+            for ((x, y), w) in a.chunks(256).zip(b.chunks(256)).zip(weights.chunks(256)) {
+                let part: f32 = x.iter().zip(y).zip(w).map(|((x, y), w)| w * (x - y) * (x - y)).sum();
+                sum += f64::from(part);
+            }
         }
-    }
-    psnr_of(sum, weights.iter().map(|&w| f64::from(w)).sum::<f64>())
+        [sum, weights.iter().map(|&w| f64::from(w)).sum()]
+    };
+    let sums = per_piece(weights.len(), of_piece);
+    let [squares, weights] =
+        sums.iter().fold([0.0; 2], |sums, piece| [sums[0] + piece[0], sums[1] + piece[1]]);
+    psnr_of(squares, weights)
 }
 
 /// The same from the sum of the three channels' weighted squared errors, and that of the weights.
@@ -277,25 +292,29 @@ fn alpha_gradient(
 ) -> Image {
     let n = alpha.pixels();
     let mut out = Image::zeros(alpha.width, alpha.height, 1);
-    for c in 0..3 {
-        for ((o, g), b) in out.data.iter_mut().zip(grad.plane(c)).zip(background.plane(c)) {
-            *o -= g * b;
-        }
-    }
-    if weight > 0.0 {
-        let per_pixel = weight / n as f32;
-        for (i, (o, a)) in out.data.iter_mut().zip(&alpha.data).enumerate() {
-            if target.is(i, PhotoTarget::INNER) {
-                *o += per_pixel / (1.0 - a).max(LEAST_OPEN);
+    let of_one = weight / n as f32;
+    in_pieces(&mut out.data, |first, piece| {
+        for c in 0..3 {
+            for ((o, g), b) in
+                piece.iter_mut().zip(&grad.plane(c)[first..]).zip(&background.plane(c)[first..])
+            {
+                *o -= g * b;
             }
         }
-    }
+        if weight > 0.0 {
+            for (o, i) in piece.iter_mut().zip(first..) {
+                if target.is(i, PhotoTarget::INNER) {
+                    *o += of_one / (1.0 - alpha.data[i]).max(LEAST_OPEN);
+                }
+            }
+        }
+    });
     out
 }
 
 /// Mean error around every pixel of those that count, one plane.
 fn error_around(residual: &[f32], weights: &Image) -> Image {
-    let counted: Vec<f32> = residual.iter().zip(&weights.data).map(|(r, w)| r * w).collect();
+    let counted: Vec<f32> = per_pixel(residual.len(), |i| residual[i] * weights.data[i]);
     let data = box_mean(&counted, weights.width, weights.height, ERROR_WINDOW);
     Image { data, ..*weights }
 }

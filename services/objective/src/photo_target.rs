@@ -1,6 +1,6 @@
 //! A photo as images are compared with it.
 
-use segwild_scene::Image;
+use segwild_scene::{Image, in_pieces};
 
 /// A photo at the size of a comparison, with flags and trust per pixel.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -27,11 +27,13 @@ impl PhotoTarget {
     pub const INITIAL_TRANSIENT: u8 = 8;
 
     /// Whether a pixel has a flag.
+    #[inline]
     pub fn is(&self, i: usize, flag: u8) -> bool {
         self.pixels[i][3] & flag != 0
     }
 
     /// A pixel's colour in [0, 1].
+    #[inline]
     pub fn colour(&self, i: usize) -> [f32; 3] {
         let [r, g, b, _] = self.pixels[i];
         [r, g, b].map(|v| f32::from(v) * (1.0 / 255.0))
@@ -39,9 +41,14 @@ impl PhotoTarget {
 
     /// The colours, three planes.
     pub fn image(&self) -> Image {
-        let plane = |c: usize| self.pixels.iter().map(move |p| f32::from(p[c]) * (1.0 / 255.0));
-        let data = plane(0).chain(plane(1)).chain(plane(2)).collect();
-        Image { width: self.width, height: self.height, channels: 3, data }
+        let mut image = Image::zeros(self.width, self.height, 3);
+        for c in 0..3 {
+            in_pieces(image.plane_mut(c), |first, piece| {
+                let pixels = piece.iter_mut().zip(&self.pixels[first..]);
+                pixels.for_each(|(v, p)| *v = f32::from(p[c]) * (1.0 / 255.0));
+            });
+        }
+        image
     }
 
     /// A residual times one minus the trust of its pixel.
@@ -55,5 +62,9 @@ impl PhotoTarget {
 
 /// Residuals per pixel, each times one minus the trust of its pixel.
 pub fn untrusted(residual: &[f32], trust: &[f32]) -> Vec<f32> {
-    residual.iter().zip(trust).map(|(r, t)| r * (1.0 - t)).collect()
+    let mut out = residual.to_vec();
+    in_pieces(&mut out, |first, piece| {
+        piece.iter_mut().zip(&trust[first..]).for_each(|(r, t)| *r *= 1.0 - t);
+    });
+    out
 }

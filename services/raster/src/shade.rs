@@ -70,6 +70,7 @@ fn raw_colour(splats: &Splats, i: usize, basis: &[f32; 16]) -> [f32; 3] {
     colour
 }
 
+#[inline]
 fn one_backward(splats: &Splats, eye: Vec3, i: usize, grad: &[f32], out: &mut [f32], mean: &mut [f32; 3]) {
     let degree = splats.sh_degree;
     let (direction, inverse) = direction(splats, eye, i);

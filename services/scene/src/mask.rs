@@ -218,11 +218,12 @@ impl Mask {
 
     /// The mask at another size, each pixel taken from the pixel under its centre.
     pub fn resized(&self, width: u32, height: u32) -> Mask {
-        Mask::from_fn(width, height, |x, y| {
-            let u = (f64::from(x) + 0.5) * f64::from(self.width) / f64::from(width);
-            let v = (f64::from(y) + 0.5) * f64::from(self.height) / f64::from(height);
-            self.get(u as u32, v as u32)
-        })
+        let nearest = |size: u32, own: u32| -> Vec<u32> {
+            let at = |k: u32| (f64::from(k) + 0.5) * f64::from(own) / f64::from(size);
+            (0..size).map(|k| at(k) as u32).collect()
+        };
+        let (us, vs) = (nearest(width, self.width), nearest(height, self.height));
+        Mask::from_fn(width, height, |x, y| self.get(us[x as usize], vs[y as usize]))
     }
 
     fn zip(&self, other: &Mask, op: impl Fn(u64, u64) -> u64) -> Mask {

@@ -1,5 +1,6 @@
 //! Photos at the size that they are used in, kept outside the process, so that their files are decoded once.
 
+use crate::eight_bits::{byte, value};
 use crate::whole::read_whole;
 use crate::{Camera, Image, LoadedPhoto, Mask, View};
 use wincode::SchemaWrite;
@@ -19,7 +20,7 @@ pub struct PackedPhoto {
     height: u32,
     /// Planes of bytes, as those of [`LoadedPhoto::image`]; empty where there are floats.
     bytes: Vec<u8>,
-    /// The same planes as they are: undistorted photos and photos of 16 bits have values between bytes.
+    /// The same planes as they are: photos of 16 bits have values between bytes.
     floats: Vec<f32>,
     valid: Option<Mask>,
     empty: Option<Mask>,
@@ -38,11 +39,6 @@ read_whole!(
     "a photo has another number of pixels"
 );
 
-/// The value of an 8-bit pixel in [0, 1], in the arithmetic of decoding.
-fn value(byte: u8) -> f32 {
-    f32::from(byte) / 255.0
-}
-
 impl PackedPhoto {
     /// Whether it has three values for each pixel, and masks of its size.
     fn is_whole(&self) -> bool {
@@ -56,8 +52,7 @@ impl PackedPhoto {
     /// The record of a photo.
     pub fn of(photo: &LoadedPhoto) -> PackedPhoto {
         let LoadedPhoto { image, valid, empty, .. } = photo;
-        let byte = |v: &f32| Some((v * 255.0).round() as u8).filter(|&b| value(b).to_bits() == v.to_bits());
-        let bytes: Option<Vec<u8>> = image.data.iter().map(byte).collect();
+        let bytes: Option<Vec<u8>> = image.data.iter().map(|&v| byte(v)).collect();
         let floats = if bytes.is_some() { Vec::new() } else { image.data.clone() };
         PackedPhoto {
             width: image.width as u32,
@@ -95,10 +90,12 @@ pub trait PhotoCache: Send + Sync {
 const LARGER: u64 = 4;
 
 impl View {
-    /// Whether the photo is much larger than it is used at a long side of so many pixels.
-    pub(crate) fn is_larger_than(&self, long_side: u32) -> bool {
+    /// Whether the photo at a long side of so many pixels takes much longer to make of its file than to read: it is used much smaller
+    /// than it is, or is undistorted (half a second at 1600 px).
+    pub(crate) fn is_dear_at(&self, long_side: u32) -> bool {
         let pixels = |camera: &Camera| u64::from(camera.width) * u64::from(camera.height);
-        pixels(&self.camera) >= LARGER * pixels(&self.camera.scaled_to(long_side.max(1)))
+        let used = pixels(&self.camera.scaled_to(long_side.max(1)));
+        self.photo.lens.is_some() || pixels(&self.camera) >= LARGER * used
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::decode::{DecodeError, Decoded, ImageHead, swaps_sides};
 use crate::digest::file_digest;
+use crate::eight_bits::{is_of_bytes, to_bytes};
 use crate::lens::Lens;
 use crate::{Camera, Image, Mask, PhotoError, SceneError, View};
 use fast_image_resize as fir;
@@ -95,8 +96,12 @@ impl View {
             head.decode_and(path, size, shrunk).map_err(|e| self.photo_error(path, e))?;
         let image = match &fine {
             None => image,
-            Some((lens, fine)) => straighten(&image, &lens.resized(fine.width, fine.height), fine)
-                .resized(camera.width as usize, camera.height as usize),
+            Some((lens, fine)) => {
+                let straight = straighten(&image, &lens.resized(fine.width, fine.height), fine)
+                    .resized(camera.width as usize, camera.height as usize);
+                // As it was taken: the training keeps 8 bits, and a cache then takes a quarter of the bytes.
+                if is_of_bytes(&image) { to_bytes(straight) } else { straight }
+            }
         };
         let empty_of =
             |opaque: &Option<Mask>| opaque.as_ref().filter(|_| self.photo.reading.empty).map(Mask::not);

@@ -41,8 +41,8 @@ impl PhotoStore {
         PhotoStore { scene, long_side, most_bytes, cache: None, memory: Arc::default() }
     }
 
-    /// The store with a cache. Photos whose files are much larger than what is used of them are kept there as well, so that a
-    /// file is decoded once whatever the memory.
+    /// The store with a cache. Photos that are undistorted, or whose files are much larger than what is used of them, are kept there as
+    /// well, so that a file is decoded once whatever the memory.
     #[must_use]
     pub fn with_cache(self, cache: Arc<dyn PhotoCache>) -> PhotoStore {
         PhotoStore { cache: Some(cache), ..self }
@@ -116,7 +116,7 @@ impl PhotoStore {
 
     /// The cache, if it keeps this photo.
     fn cache_of(&self, view: &View) -> Option<&dyn PhotoCache> {
-        self.cache.as_deref().filter(|_| view.is_larger_than(self.long_side))
+        self.cache.as_deref().filter(|_| view.is_dear_at(self.long_side))
     }
 
     /// Reads a photo from the cache, or decodes it.

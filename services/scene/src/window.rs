@@ -1,16 +1,21 @@
 //! Means over square windows of an image.
 
+use crate::pieces::task_rows;
+use rayon::prelude::*;
+
 /// Mean of each pixel over a square window of half width `r`, cut off at the border; row-major.
 pub fn box_mean(values: &[f32], width: usize, height: usize, r: usize) -> Vec<f32> {
     let mut rows = vec![0.0f32; values.len()];
     let inner = r.min(width)..width.saturating_sub(r).max(r.min(width));
-    for (row, means) in values.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
+    let (lines, task) = (values.par_chunks_exact(width), task_rows(width));
+    let lines = lines.zip(rows.par_chunks_exact_mut(width)).with_min_len(task);
+    lines.for_each(|(row, means)| {
         for x in (0..inner.start).chain(inner.end..width) {
             let (a, b) = (x.saturating_sub(r), (x + r + 1).min(width));
             means[x] = row[a..b].iter().sum::<f32>() / (b - a) as f32;
         }
         if inner.is_empty() {
-            continue;
+            return;
         }
         // Whole windows, a shifted row at a time.
         let means = &mut means[inner.clone()];
@@ -20,11 +25,11 @@ pub fn box_mean(values: &[f32], width: usize, height: usize, r: usize) -> Vec<f3
             }
         }
         means.iter_mut().for_each(|m| *m /= (2 * r + 1) as f32);
-    }
+    });
     let mut out = vec![0.0f32; values.len()];
-    for y in 0..height {
+    let lines = out.par_chunks_exact_mut(width).with_min_len(task).enumerate();
+    lines.for_each(|(y, line)| {
         let (a, b) = (y.saturating_sub(r), (y + r + 1).min(height));
-        let line = &mut out[y * width..(y + 1) * width];
         for k in a..b {
             for (o, v) in line.iter_mut().zip(&rows[k * width..(k + 1) * width]) {
                 *o += v;
@@ -33,7 +38,7 @@ pub fn box_mean(values: &[f32], width: usize, height: usize, r: usize) -> Vec<f3
         for o in line {
             *o /= (b - a) as f32;
         }
-    }
+    });
     out
 }
 

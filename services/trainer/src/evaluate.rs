@@ -76,7 +76,7 @@ pub fn evaluate(
         let photo = &stored.levels[0];
         let w = photo.width;
         let left = |i: usize| i % w < w / 2;
-        let fitted: Option<&dyn Fn(usize) -> bool> = match protocol {
+        let fitted: Option<&(dyn Fn(usize) -> bool + Sync)> = match protocol {
             Protocol::Plain => None,
             Protocol::Halves => Some(&left),
         };
@@ -92,7 +92,7 @@ pub fn evaluate(
         let posed = posed_view(scene, view);
         let against = posed.contradicted(&render, photo, model.transient_shares[view]);
         let (kept_psnr, _) = score(&render, photo, |i| scored(i) && !against[i]);
-        let count = |of: &dyn Fn(usize) -> bool| {
+        let count = |of: &(dyn Fn(usize) -> bool + Sync)| {
             (0..photo.pixels()).filter(|&i| scored(i) && photo.valid(i) && of(i)).count() as f32
         };
         let left_out = count(&|i| against[i]) / count(&|_| true).max(1.0);
@@ -137,7 +137,7 @@ pub(crate) fn background_of(
     camera: &Camera,
     pose: &Pose,
     prior: f64,
-    within: impl Fn(usize) -> bool,
+    within: impl Fn(usize) -> bool + Sync,
 ) -> Option<Background> {
     let open = |i: usize| (1.0 - alpha.data[i]).max(0.0).powi(2);
     let seen = |i: usize| {
@@ -154,7 +154,7 @@ fn aligned_unseen(
     engine: &dyn Rasterizer,
     view: &View,
     stored: &Stored,
-    fitted: &dyn Fn(usize) -> bool,
+    fitted: &(dyn Fn(usize) -> bool + Sync),
 ) -> Result<View, TrainError> {
     let full = stored.level(0).1.width;
     let mut aligned = view.clone();
@@ -189,7 +189,7 @@ pub(crate) fn render_unseen(
     view: &View,
     stored: &Stored,
     level: usize,
-    fitted: Option<&dyn Fn(usize) -> bool>,
+    fitted: Option<&(dyn Fn(usize) -> bool + Sync)>,
 ) -> Result<Unseen, TrainError> {
     let photo = stored.level(level).1;
     let n = photo.pixels();

@@ -1,10 +1,13 @@
 //! Photos as the trainer needs them: loaded one at a time, kept as bytes, at several sizes.
 
 use crate::TrainError;
+use rayon::prelude::*;
 use segwild_objective::compare::PhotoTarget;
-use segwild_scene::{Camera, Image, LoadedPhoto, Mask, ReaderError};
+use segwild_scene::{
+    Camera, Image, LoadedPhoto, Mask, ReaderError, TASK_PIXELS, in_pieces, per_piece, per_pixel,
+};
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 /// A photo with what is known of its pixels.
 #[derive(Clone, Debug)]
@@ -43,6 +46,11 @@ pub trait Photos: Send + Sync {
     fn refused(&self, _view: usize) -> Option<String> {
         None
     }
+
+    /// Whether [`Photos::photo`] has all it needs now, and would wait for nobody.
+    fn is_ready(&self, _view: usize) -> bool {
+        true
+    }
 }
 
 /// Photos some of which are known not to be usable.
@@ -63,6 +71,10 @@ impl<P: Photos> Photos for Sifted<P> {
 
     fn refused(&self, view: usize) -> Option<String> {
         self.refused.get(view).cloned().flatten()
+    }
+
+    fn is_ready(&self, view: usize) -> bool {
+        self.photos.is_ready(view)
     }
 }
 
@@ -110,16 +122,21 @@ impl PhotoLevel {
 
     /// The colours as floats.
     pub fn image(&self) -> Image {
-        let data = self.rgb.iter().map(|&b| f32::from(b) * (1.0 / 255.0)).collect();
+        let mut data = vec![0.0f32; self.rgb.len()];
+        in_pieces(&mut data, |first, piece| {
+            piece.iter_mut().zip(&self.rgb[first..]).for_each(|(v, &b)| *v = f32::from(b) * (1.0 / 255.0));
+        });
         Image { width: self.width, height: self.height, channels: 3, data }
     }
 
     /// Whether the pixel counts in the colour loss: valid and not sky.
+    #[inline]
     pub fn counts(&self, i: usize) -> bool {
         self.flags[i] == VALID
     }
 
     /// Whether the pixel is valid sky.
+    #[inline]
     pub fn sky(&self, i: usize) -> bool {
         self.flags[i] == VALID | SKY
     }
@@ -129,16 +146,19 @@ impl PhotoLevel {
         (0..self.pixels()).filter(|&i| !self.sky(i)).count() as f32 / self.pixels().max(1) as f32
     }
 
+    #[inline]
     pub fn valid(&self, i: usize) -> bool {
         self.flags[i] & VALID != 0
     }
 
     /// Whether a pixel lies in a mask of the photo, of whatever size.
+    #[inline]
     pub fn lies_in(&self, i: usize, mask: &Mask) -> bool {
         let of = |at: usize, size: usize, other: u32| (at * other as usize / size) as u32;
         mask.get(of(i % self.width, self.width, mask.width()), of(i / self.width, self.height, mask.height()))
     }
 
+    #[inline]
     pub fn colour(&self, i: usize) -> [f32; 3] {
         let n = self.pixels();
         [0, 1, 2].map(|c| f32::from(self.rgb[c * n + i]) * (1.0 / 255.0))
@@ -148,28 +168,26 @@ impl PhotoLevel {
     /// the scene itself.
     pub fn target(&self, initial_transients: Option<&Mask>, trust: Vec<f32>) -> PhotoTarget {
         let (n, w, h) = (self.pixels(), self.width, self.height);
-        let inner = |i: usize| {
-            let (x, y) = (i % w, i / w);
-            self.sky(i)
-                && (x == 0 || self.sky(i - 1))
-                && (x + 1 == w || self.sky(i + 1))
-                && (y == 0 || self.sky(i - w))
-                && (y + 1 == h || self.sky(i + w))
-        };
-        let pixel = |i: usize| {
-            let flags = [
-                (self.counts(i), PhotoTarget::COUNTS),
-                (self.sky(i), PhotoTarget::SKY),
-                (inner(i), PhotoTarget::INNER),
-                (
-                    initial_transients.is_some_and(|mask| self.lies_in(i, mask)),
-                    PhotoTarget::INITIAL_TRANSIENT,
-                ),
-            ];
-            let flags = flags.iter().filter(|(holds, _)| *holds).map(|(_, flag)| flag).sum();
-            [self.rgb[i], self.rgb[n + i], self.rgb[2 * n + i], flags]
-        };
-        PhotoTarget { width: w, height: h, pixels: (0..n).map(pixel).collect(), trust }
+        let mut pixels = vec![[0u8; 4]; n];
+        let rows = pixels.par_chunks_exact_mut(w).with_min_len(TASK_PIXELS.div_ceil(w)).enumerate();
+        rows.for_each(|(y, row)| {
+            for (x, pixel) in row.iter_mut().enumerate() {
+                let i = y * w + x;
+                let mut flags = u8::from(self.counts(i)) * PhotoTarget::COUNTS;
+                if self.sky(i) {
+                    let inner = (x == 0 || self.sky(i - 1))
+                        && (x + 1 == w || self.sky(i + 1))
+                        && (y == 0 || self.sky(i - w))
+                        && (y + 1 == h || self.sky(i + w));
+                    flags |= PhotoTarget::SKY | (u8::from(inner) * PhotoTarget::INNER);
+                }
+                if initial_transients.is_some_and(|mask| self.lies_in(i, mask)) {
+                    flags |= PhotoTarget::INITIAL_TRANSIENT;
+                }
+                *pixel = [self.rgb[i], self.rgb[n + i], self.rgb[2 * n + i], flags];
+            }
+        });
+        PhotoTarget { width: w, height: h, pixels, trust }
     }
 
     /// Half the size: each pixel is the mean of four; it is valid if all four are, sky if three are.
@@ -177,20 +195,36 @@ impl PhotoLevel {
         let (w, h) = (self.width / 2, self.height / 2);
         let (n, m) = (self.pixels(), w * h);
         let mut out = PhotoLevel { width: w, height: h, rgb: vec![0; 3 * m], flags: vec![0; m] };
-        for y in 0..h {
-            for x in 0..w {
-                let at = [0, 1, self.width, self.width + 1].map(|d| 2 * y * self.width + 2 * x + d);
-                for c in 0..3 {
-                    let sum: u32 = at.iter().map(|&i| u32::from(self.rgb[c * n + i])).sum();
-                    out.rgb[c * m + y * w + x] = ((sum + 2) / 4) as u8;
+        let (whole, task) = (self.width, TASK_PIXELS.div_ceil(w));
+        for c in 0..3 {
+            let plane = &self.rgb[c * n..][..n];
+            let rows = out.rgb[c * m..][..m].par_chunks_exact_mut(w).with_min_len(task).enumerate();
+            rows.for_each(|(y, row)| {
+                let (upper, lower) = two_rows(plane, whole, y);
+                for ((mean, up), low) in row.iter_mut().zip(upper).zip(lower) {
+                    let sum = u16::from(up[0]) + u16::from(up[1]) + u16::from(low[0]) + u16::from(low[1]);
+                    *mean = ((sum + 2) / 4) as u8;
                 }
-                let valid = at.iter().all(|&i| self.flags[i] & VALID != 0);
-                let sky = at.iter().filter(|&&i| self.flags[i] & SKY != 0).count() >= 3;
-                out.flags[y * w + x] = (u8::from(valid) * VALID) | (u8::from(sky) * SKY);
-            }
+            });
         }
+        let rows = out.flags.par_chunks_exact_mut(w).with_min_len(task).enumerate();
+        rows.for_each(|(y, row)| {
+            let (upper, lower) = two_rows(&self.flags, whole, y);
+            for ((flags, up), low) in row.iter_mut().zip(upper).zip(lower) {
+                let four = [up[0], up[1], low[0], low[1]];
+                let valid = four.iter().all(|flags| flags & VALID != 0);
+                let sky = four.iter().filter(|flags| *flags & SKY != 0).count() >= 3;
+                *flags = (u8::from(valid) * VALID) | (u8::from(sky) * SKY);
+            }
+        });
         out
     }
+}
+
+/// The two rows of a plane that make row `y` of one of half the size, in pairs.
+fn two_rows(plane: &[u8], width: usize, y: usize) -> (&[[u8; 2]], &[[u8; 2]]) {
+    let (upper, lower) = plane[2 * y * width..][..2 * width].split_at(width);
+    (upper.as_chunks::<2>().0, lower.as_chunks::<2>().0)
 }
 
 impl Stored {
@@ -205,7 +239,11 @@ impl Stored {
                 image.channels, image.width, image.height
             )));
         }
-        if let Some(i) = image.data.iter().position(|v| !v.is_finite()) {
+        let odd = per_piece(image.data.len(), |piece| {
+            let start = piece.start;
+            image.data[piece].iter().position(|v| !v.is_finite()).map(|i| start + i)
+        });
+        if let Some(i) = odd.into_iter().flatten().next() {
             let p = i % n;
             return Err(refuse(format!(
                 "colour at pixel ({}, {}) is not a number; decode the file again",
@@ -226,14 +264,12 @@ impl Stored {
                 )));
             }
         }
-        let flags: Vec<u8> = (0..n)
-            .map(|i| {
-                let transient = transients.as_ref().is_some_and(|m| m.index(i));
-                let valid = valid.as_ref().is_none_or(|m| m.index(i)) && !transient;
-                let sky = sky.as_ref().is_some_and(|m| m.index(i));
-                (u8::from(valid) * VALID) | (u8::from(sky) * SKY)
-            })
-            .collect();
+        let flags: Vec<u8> = per_pixel(n, |i| {
+            let transient = transients.as_ref().is_some_and(|m| m.index(i));
+            let valid = valid.as_ref().is_none_or(|m| m.index(i)) && !transient;
+            let sky = sky.as_ref().is_some_and(|m| m.index(i));
+            (u8::from(valid) * VALID) | (u8::from(sky) * SKY)
+        });
         if flags.iter().all(|f| f & VALID == 0) {
             let which = if transients.is_some() {
                 "its masks of transients and of what to ignore"
@@ -242,7 +278,11 @@ impl Stored {
             };
             return Err(refuse(format!("every pixel is masked out; check {which}")));
         }
-        let rgb = image.data.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect();
+        let mut rgb = vec![0u8; 3 * n];
+        in_pieces(&mut rgb, |first, piece| {
+            let values = piece.iter_mut().zip(&image.data[first..]);
+            values.for_each(|(b, v)| *b = (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8);
+        });
         let mut levels = vec![PhotoLevel { width: image.width, height: image.height, rgb, flags }];
         while levels.len() < LEVELS {
             let last = levels.last().expect("there is a first level");
@@ -301,11 +341,81 @@ pub(crate) struct TrainPhotoCache {
     clock: u64,
     bytes: usize,
     limit: usize,
+    /// The photo that is read while the step before works.
+    ahead: Option<(usize, Arc<Ahead>)>,
+}
+
+/// A photo that is read by another core while this one works.
+struct Ahead {
+    state: Mutex<AheadState>,
+    changed: Condvar,
+}
+
+enum AheadState {
+    /// No core had time for it yet.
+    Ordered,
+    Reading,
+    Read(Result<Stored, TrainError>),
+    /// It is not to be had from here: somebody else reads it, or the reader panicked.
+    Left,
+}
+
+impl Ahead {
+    fn state(&self) -> MutexGuard<'_, AheadState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Reads the photo, unless it is not wanted any more.
+    fn read(&self, read: impl FnOnce() -> Result<Stored, TrainError>) {
+        {
+            let mut state = self.state();
+            if !matches!(*state, AheadState::Ordered) {
+                return;
+            }
+            *state = AheadState::Reading;
+        }
+        // Who wants the photo then reads it, and panics where panics are dealt with.
+        let read = std::panic::catch_unwind(std::panic::AssertUnwindSafe(read));
+        *self.state() = read.map_or(AheadState::Left, AheadState::Read);
+        self.changed.notify_all();
+    }
+
+    /// The photo; `None` where it was not read.
+    fn take(&self) -> Option<Result<Stored, TrainError>> {
+        let mut state = self.state();
+        // Another thread reads it. It does not wait for this one.
+        while matches!(*state, AheadState::Reading) {
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+        match std::mem::replace(&mut *state, AheadState::Left) {
+            AheadState::Read(stored) => Some(stored),
+            AheadState::Ordered | AheadState::Reading | AheadState::Left => None,
+        }
+    }
+}
+
+/// Reads and packs a photo.
+fn read(source: &dyn Photos, view: usize, name: &str) -> Result<Stored, TrainError> {
+    let photo = source.photo(view);
+    let photo = photo.map_err(|e| TrainError::Photo { name: name.to_owned(), reason: e.to_string() })?;
+    Stored::pack(name, &photo)
 }
 
 impl TrainPhotoCache {
     pub fn new(source: Arc<dyn Photos>, names: Vec<String>, limit: usize) -> TrainPhotoCache {
-        TrainPhotoCache { source, names, held: BTreeMap::new(), clock: 0, bytes: 0, limit }
+        TrainPhotoCache { source, names, held: BTreeMap::new(), clock: 0, bytes: 0, limit, ahead: None }
+    }
+
+    /// Has an idle core read a photo that [`TrainPhotoCache::get`] will return next, if its result does not wait for a stage.
+    pub fn read_ahead(&mut self, view: usize) {
+        let ordered = self.ahead.as_ref().is_some_and(|(ahead, _)| *ahead == view);
+        if ordered || self.held.contains_key(&view) || !self.source.is_ready(view) {
+            return;
+        }
+        let ahead = Arc::new(Ahead { state: Mutex::new(AheadState::Ordered), changed: Condvar::new() });
+        self.ahead = Some((view, ahead.clone()));
+        let (source, name) = (self.source.clone(), self.names[view].clone());
+        rayon::spawn(move || ahead.read(|| read(&*source, view, &name)));
     }
 
     /// Takes the cache with all it holds; an empty one is left.
@@ -349,12 +459,9 @@ impl TrainPhotoCache {
             *used = self.clock;
             return Ok(stored.clone());
         }
-        let name = &self.names[view];
-        let photo = self
-            .source
-            .photo(view)
-            .map_err(|e| TrainError::Photo { name: name.clone(), reason: e.to_string() })?;
-        let stored = Arc::new(Stored::pack(name, &photo)?);
+        let ahead = self.ahead.take_if(|(ahead, _)| *ahead == view).and_then(|(_, ahead)| ahead.take());
+        let stored = ahead.unwrap_or_else(|| read(&*self.source, view, &self.names[view]));
+        let stored = Arc::new(stored?);
         self.bytes += stored.bytes();
         self.evict();
         self.held.insert(view, (self.clock, stored.clone()));
@@ -389,6 +496,61 @@ mod tests {
         }
         // 0 and 1, then 2 drops 1, then 1 again.
         assert_eq!(loads.load(Ordering::Relaxed), 4);
+    }
+
+    /// Photos that count how often each is read.
+    struct Counted {
+        reads: [AtomicUsize; 4],
+        ready: bool,
+    }
+
+    impl Photos for Counted {
+        fn photo(&self, view: usize) -> Result<TrainPhoto, ReaderError> {
+            self.reads[view].fetch_add(1, Ordering::SeqCst);
+            if view == 2 { Err("it is damaged".into()) } else { Ok(photo(0.1 * view as f32)) }
+        }
+
+        fn is_ready(&self, _: usize) -> bool {
+            self.ready
+        }
+    }
+
+    #[test]
+    fn a_photo_read_ahead_is_the_same_and_is_read_once() {
+        let source = Arc::new(Counted { reads: Default::default(), ready: true });
+        let names: Vec<String> = (0..4).map(|i| i.to_string()).collect();
+        let mut cache = TrainPhotoCache::new(source.clone(), names.clone(), usize::MAX);
+        let reads = |view: usize| source.reads[view].load(Ordering::SeqCst);
+        // As in a step: the trainer's own thread waits while the pool reads, or is faster and reads itself.
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+        let mut ahead = |view: usize| {
+            pool.install(|| {
+                cache.read_ahead(view);
+                cache.get(view)
+            })
+        };
+        assert_eq!(*ahead(1).unwrap(), Stored::pack("1", &photo(0.1)).unwrap());
+        assert_eq!(*ahead(1).unwrap(), Stored::pack("1", &photo(0.1)).unwrap());
+        assert_eq!(reads(1), 1);
+        let error = ahead(2).unwrap_err().to_string();
+        assert!(error.contains("photo `2`") && error.contains("it is damaged"), "{error}");
+        // One that is not wanted after all is forgotten, and one whose sky is not there yet is not waited for.
+        pool.install(|| cache.read_ahead(0));
+        pool.install(|| assert!(cache.get(1).is_ok()));
+        let waits = Arc::new(Counted { reads: Default::default(), ready: false });
+        let mut cache = TrainPhotoCache::new(waits.clone(), names, usize::MAX);
+        pool.install(|| cache.read_ahead(0));
+        assert!(cache.ahead.is_none() && waits.reads[0].load(Ordering::SeqCst) == 0);
+    }
+
+    #[test]
+    fn a_panic_of_who_reads_ahead_is_that_of_who_wants_the_photo() {
+        let ahead = Ahead { state: Mutex::new(AheadState::Ordered), changed: Condvar::new() };
+        ahead.read(|| panic!("a decoder's fault"));
+        assert!(ahead.take().is_none());
+        let ahead = Ahead { state: Mutex::new(AheadState::Ordered), changed: Condvar::new() };
+        assert!(ahead.take().is_none(), "no core had time: who wants the photo reads it");
+        ahead.read(|| panic!("it is not read twice"));
     }
 
     #[test]

@@ -1,9 +1,10 @@
 //! The views of a training: their cameras, poses and points.
 
 use crate::photos::{PhotoLevel, Stored};
+use rayon::prelude::*;
 use segwild_objective::compare::{mean_difference, untrusted};
 use segwild_objective::transients::contradicted;
-use segwild_scene::{Camera, Image, Point, Pose, Scene, View};
+use segwild_scene::{Camera, Image, Point, Pose, Scene, TASK_PIXELS, View};
 use std::sync::Arc;
 
 /// Trust in the pixel of a point that the photo saw: a residual there counts for the rest.
@@ -32,23 +33,28 @@ impl Posed {
         let reach = (3.0 * sigma).ceil() as i32;
         let bell: Vec<f32> = (-reach..=reach).map(|d| (-0.5 * (d as f32 / sigma).powi(2)).exp()).collect();
         let mut out = vec![0.0f32; w * h];
-        for (_, at) in &self.sightings {
-            // Positions far outside are clamped: they reach no pixel either way, and the cast stays in range.
-            let at = at.map(|v| v.clamp(-1.0, 2.0));
-            let (cx, cy) = ((at[0] * w as f32) as i32, (at[1] * h as f32) as i32);
-            let (left, right) = ((cx - reach).max(0), (cx + reach + 1).min(w as i32));
-            if left >= right {
-                continue;
-            }
-            let across = &bell[(left - cx + reach) as usize..(right - cx + reach) as usize];
-            for y in (cy - reach).max(0)..(cy + reach + 1).min(h as i32) {
-                let down = bell[(y - cy + reach) as usize];
-                let row = &mut out[y as usize * w..][left as usize..right as usize];
-                for (o, near) in row.iter_mut().zip(across) {
-                    *o = o.max(TRUST * (near * down));
+        let rows = TASK_PIXELS.div_ceil(w.max(1));
+        let bands = out.par_chunks_mut((rows * w).max(1)).enumerate();
+        bands.for_each(|(band, out)| {
+            let (top, bottom) = ((band * rows) as i32, (band * rows + out.len() / w) as i32);
+            for (_, at) in &self.sightings {
+                // Positions far outside are clamped: they reach no pixel either way, and the cast stays in range.
+                let at = at.map(|v| v.clamp(-1.0, 2.0));
+                let (cx, cy) = ((at[0] * w as f32) as i32, (at[1] * h as f32) as i32);
+                let (left, right) = ((cx - reach).max(0), (cx + reach + 1).min(w as i32));
+                if left >= right {
+                    continue;
+                }
+                let across = &bell[(left - cx + reach) as usize..(right - cx + reach) as usize];
+                for y in (cy - reach).max(top)..(cy + reach + 1).min(bottom) {
+                    let down = bell[(y - cy + reach) as usize];
+                    let row = &mut out[(y - top) as usize * w..][left as usize..right as usize];
+                    for (o, near) in row.iter_mut().zip(across) {
+                        *o = o.max(TRUST * (near * down));
+                    }
                 }
             }
-        }
+        });
         out
     }
 }

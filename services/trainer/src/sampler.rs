@@ -29,6 +29,11 @@ impl Sampler {
         view.map(|v| v as usize)
     }
 
+    /// The view that [`Sampler::next`] will give; `None` at the end of a round, whose successor has no order yet.
+    pub fn upcoming(&self) -> Option<usize> {
+        self.views.get(self.cursor as usize).map(|&view| view as usize)
+    }
+
     /// Removes the view sampled last for good.
     pub fn drop_last(&mut self) {
         self.cursor -= 1;
@@ -61,7 +66,11 @@ mod tests {
         let mut random = Random::new(1);
         let mut s = Sampler::new(&[2, 4, 6, 8]);
         for _ in 0..3 {
-            let mut round: Vec<usize> = (0..4).map(|_| s.next(&mut random).unwrap()).collect();
+            let mut round = vec![s.next(&mut random).unwrap()];
+            while let Some(upcoming) = s.upcoming() {
+                round.push(upcoming);
+                assert_eq!(s.next(&mut random), Some(upcoming));
+            }
             round.sort_unstable();
             assert_eq!(round, [2, 4, 6, 8]);
         }

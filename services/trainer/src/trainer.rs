@@ -302,7 +302,10 @@ impl Trainer {
                 continue;
             };
             match self.photos.get(view) {
-                Ok(stored) => return Ok((view, stored)),
+                Ok(stored) => {
+                    self.state.sampler.upcoming().into_iter().for_each(|view| self.photos.read_ahead(view));
+                    return Ok((view, stored));
+                }
                 Err(TrainError::Photo { name, reason }) => {
                     tracing::warn!("photo `{name}` is left out: {reason}");
                     self.state.skipped.push((name, reason));

@@ -158,6 +158,7 @@ pub fn run_scene(
     stopper: Stopper,
 ) -> Result<Summary, Failure> {
     use_threads(settings.run.threads);
+    crate::allocator::keep_images(settings.scene.size, settings.run.memory_budget);
     let events = Events::new();
     stop_on_ctrl_c(&stopper)?;
     let sink = show(&events, json)?;

@@ -120,7 +120,10 @@ fn a_really_full_and_a_really_read_only_disk_are_reported() {
     works(&["status", &show(&disk.0.join("run"))]);
     disk.remount("rw,size=100m");
     works(&args);
-    same_as_untouched(&disk.0.join("run"));
+    // All but the regions of the photo at which the disk was full: a click computes and keeps those that are not there.
+    let mut expected = results(&shared_run().run);
+    expected.retain(|file, _| !file.starts_with("cache/regions.d"));
+    has_all_of(&disk.0.join("run"), &expected);
 }
 
 #[test]

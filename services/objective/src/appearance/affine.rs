@@ -2,7 +2,8 @@
 
 use super::model::{Appearance, AppearanceEmbedding, Directions, through};
 use crate::adam::Adam;
-use segwild_scene::Image;
+use rayon::prelude::*;
+use segwild_scene::{Image, TASK_PIXELS, in_pieces};
 use wincode::{SchemaRead, SchemaWrite};
 
 /// Numbers in a 3x4 matrix: rows for r, g, b; columns for r, g, b and 1.
@@ -165,9 +166,11 @@ pub(crate) fn apply_matrix(m: &[f32; NUMBERS], image: &Image) -> Image {
     for c in 0..3 {
         let [a, b, d, e] = [m[c * 4], m[c * 4 + 1], m[c * 4 + 2], m[c * 4 + 3]];
         let [r, g, bl] = [image.plane(0), image.plane(1), image.plane(2)];
-        for (p, out) in out.data[c * pixels..(c + 1) * pixels].iter_mut().enumerate() {
-            *out = a * r[p] + b * g[p] + d * bl[p] + e;
-        }
+        in_pieces(&mut out.data[c * pixels..(c + 1) * pixels], |first, piece| {
+            for (out, p) in piece.iter_mut().zip(first..) {
+                *out = a * r[p] + b * g[p] + d * bl[p] + e;
+            }
+        });
     }
     out
 }
@@ -185,14 +188,17 @@ pub(crate) fn matrix_backward(m: &[f32; NUMBERS], image: &Image, grad: &Image) -
     for k in 0..3 {
         let [a, b, d] = [m[k], m[4 + k], m[8 + k]];
         let [r, g, bl] = [grad.plane(0), grad.plane(1), grad.plane(2)];
-        for (p, out) in out.data[k * pixels..(k + 1) * pixels].iter_mut().enumerate() {
-            *out = a * r[p] + b * g[p] + d * bl[p];
-        }
+        in_pieces(&mut out.data[k * pixels..(k + 1) * pixels], |first, piece| {
+            for (out, p) in piece.iter_mut().zip(first..) {
+                *out = a * r[p] + b * g[p] + d * bl[p];
+            }
+        });
         let g = grad.plane(k);
         for c in 0..3 {
             sums[k * 4 + c] = dot(g, image.plane(c));
         }
-        sums[k * 4 + 3] = g.chunks(PIECE).map(|g| f64::from(lanes(g, |v| v))).sum::<f64>() as f32;
+        let of_pieces = g.par_chunks(PIECE).with_min_len(TASK_PIXELS / PIECE);
+        sums[k * 4 + 3] = in_order(of_pieces.map(|g| f64::from(lanes(g, |v| v))));
     }
     (out, sums)
 }
@@ -221,5 +227,12 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
         let rest: f32 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
         f64::from(sums.iter().sum::<f32>() + rest)
     };
-    a.chunks(PIECE).zip(b.chunks(PIECE)).map(|(a, b)| piece(a, b)).sum::<f64>() as f32
+    let pieces = a.par_chunks(PIECE).zip(b.par_chunks(PIECE)).with_min_len(TASK_PIXELS / PIECE);
+    in_order(pieces.map(|(a, b)| piece(a, b)))
+}
+
+/// The sum of the pieces in their order: the same on any number of cores.
+fn in_order(pieces: impl IndexedParallelIterator<Item = f64>) -> f32 {
+    let pieces: Vec<f64> = pieces.collect();
+    pieces.into_iter().sum::<f64>() as f32
 }

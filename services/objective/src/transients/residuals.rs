@@ -1,7 +1,8 @@
 //! The robust mask: leaves out pixels that contradict the scene: people, cars, umbrellas (method, section 3; it takes
 //! the role of a visibility map for affine appearance models; after RobustNeRF and SpotLessSplats).
 
-use segwild_scene::box_mean;
+use rayon::prelude::*;
+use segwild_scene::{TASK_PIXELS, box_mean, per_piece, per_pixel};
 use wincode::{SchemaRead, SchemaWrite};
 
 /// State of a photo's residuals.
@@ -80,27 +81,33 @@ pub fn leave_out(
     known: &Residuals,
     residual: &[f32],
     width: usize,
-    counts: impl Fn(usize) -> bool,
-    initial_transient_share: impl Fn(usize) -> bool,
+    counts: impl Fn(usize) -> bool + Sync,
+    initial_transient_share: impl Fn(usize) -> bool + Sync,
 ) -> (Option<Vec<f32>>, Option<Vec<f32>>) {
     let height = residual.len() / width;
-    let bins: Vec<Option<u8>> =
-        smoothed(residual, width).iter().enumerate().map(|(i, &r)| counts(i).then(|| bin(r) as u8)).collect();
-    let mut fresh = vec![0.0f32; BINS];
-    for b in bins.iter().flatten() {
-        fresh[usize::from(*b)] += 1.0;
-    }
+    let smooth = smoothed(residual, width);
+    let bins: Vec<Option<u8>> = per_pixel(smooth.len(), |i| counts(i).then(|| bin(smooth[i]) as u8));
+    let fresh = histogram(&bins);
     let Some((limits, held)) = residual_limits(known, fresh) else { return (None, None) };
     let over = limits.map(|limit| -> [u8; BINS] { std::array::from_fn(|b| u8::from(bin_top(b) > limit)) });
-    let out = |(i, b): (usize, &Option<u8>)| {
-        b.map_or(0, |b| over[usize::from(initial_transient_share(i))][usize::from(b)])
-    };
-    let out: Vec<u8> = bins.iter().enumerate().map(out).collect();
+    let out = |i: usize| bins[i].map_or(0, |b| over[usize::from(initial_transient_share(i))][usize::from(b)]);
+    let out: Vec<u8> = per_pixel(bins.len(), out);
     if out.iter().all(|&o| o == 0) {
         return (None, Some(held));
     }
-    let kept = majority(&out, width, height).iter().map(|&o| f32::from(1 - o)).collect();
+    let most = majority(&out, width, height);
+    let kept = per_pixel(most.len(), |i| f32::from(1 - most[i]));
     (Some(kept), Some(held))
+}
+
+/// The pixels of each bin; `None` counts nowhere.
+fn histogram(bins: &[Option<u8>]) -> Vec<f32> {
+    let of_pieces = per_piece(bins.len(), |piece| {
+        let mut counts = [0u32; BINS];
+        bins[piece].iter().flatten().for_each(|&b| counts[usize::from(b)] += 1);
+        counts
+    });
+    (0..BINS).map(|b| of_pieces.iter().map(|counts| counts[b]).sum::<u32>() as f32).collect()
 }
 
 /// The residuals over which a pixel, and an initial transient, is left out, and the histogram with this visit's counts;
@@ -143,22 +150,31 @@ pub fn smoothed(residual: &[f32], width: usize) -> Vec<f32> {
 }
 
 /// The smoothed residual from which a pixel of this photo counts as transient; `None` where no pixel counts.
-pub fn limit(smooth: &[f32], counts: impl Fn(usize) -> bool, share: f32) -> Option<f32> {
-    let mut histogram = vec![0.0f32; BINS];
-    smooth.iter().enumerate().filter(|&(i, _)| counts(i)).for_each(|(_, &r)| histogram[bin(r)] += 1.0);
+pub fn limit(smooth: &[f32], counts: impl Fn(usize) -> bool + Sync, share: f32) -> Option<f32> {
+    let histogram = histogram(&per_pixel(smooth.len(), |i| counts(i).then(|| bin(smooth[i]) as u8)));
     (histogram.iter().sum::<f32>() > 0.0).then(|| threshold(&histogram, share))
 }
 
 /// The residual, smoothed, in units of the limit at which a pixel would be left out, by this residual alone.
-pub fn relative(residual: &[f32], width: usize, counts: impl Fn(usize) -> bool, share: f32) -> Vec<f32> {
+pub fn relative(
+    residual: &[f32],
+    width: usize,
+    counts: impl Fn(usize) -> bool + Sync,
+    share: f32,
+) -> Vec<f32> {
     let mut smooth = smoothed(residual, width);
     let threshold = limit(&smooth, counts, share).unwrap_or(FLOOR);
-    smooth.iter_mut().for_each(|r| *r /= threshold);
+    smooth.par_iter_mut().with_min_len(TASK_PIXELS).for_each(|r| *r /= threshold);
     smooth
 }
 
 /// Per pixel, whether a photo contradicts the scene there, by this residual alone.
-pub fn contradicted(residual: &[f32], width: usize, counts: impl Fn(usize) -> bool, share: f32) -> Vec<bool> {
+pub fn contradicted(
+    residual: &[f32],
+    width: usize,
+    counts: impl Fn(usize) -> bool + Sync,
+    share: f32,
+) -> Vec<bool> {
     let (kept, _) = leave_out(&Residuals { before: &[], share }, residual, width, counts, |_| false);
     kept.map_or(vec![false; residual.len()], |kept| kept.iter().map(|&k| k == 0.0).collect())
 }
@@ -195,23 +211,25 @@ fn threshold(histogram: &[f32], share: f32) -> f32 {
 /// 3 x 3 majority; at the border of the pixels there are.
 fn majority(out: &[u8], width: usize, height: usize) -> Vec<u8> {
     let mut result = vec![0; out.len()];
-    let mut columns = vec![0u8; width];
-    for y in 0..height {
-        let (y0, y1) = (y.saturating_sub(1), (y + 2).min(height));
-        columns.fill(0);
-        for row in out[y0 * width..y1 * width].chunks_exact(width) {
-            columns.iter_mut().zip(row).for_each(|(c, o)| *c += o);
-        }
-        let rows = (y1 - y0) as u8;
-        let result = &mut result[y * width..(y + 1) * width];
-        let (first, last) = (&columns[..width.min(2)], &columns[width.saturating_sub(2)..]);
-        let voted = |votes: u8, pixels: u8| u8::from(2 * votes > pixels * rows);
-        result[0] = voted(first.iter().sum(), first.len() as u8);
-        result[width - 1] = voted(last.iter().sum(), last.len() as u8);
-        for (r, c) in result.iter_mut().skip(1).zip(columns.windows(3)) {
-            *r = voted(c[0] + c[1] + c[2], 3);
-        }
-    }
+    let rows = result.par_chunks_exact_mut(width).with_min_len(TASK_PIXELS.div_ceil(width)).enumerate();
+    rows.for_each_init(
+        || vec![0u8; width],
+        |columns, (y, result)| {
+            let (y0, y1) = (y.saturating_sub(1), (y + 2).min(height));
+            columns.fill(0);
+            for row in out[y0 * width..y1 * width].chunks_exact(width) {
+                columns.iter_mut().zip(row).for_each(|(c, o)| *c += o);
+            }
+            let rows = (y1 - y0) as u8;
+            let (first, last) = (&columns[..width.min(2)], &columns[width.saturating_sub(2)..]);
+            let voted = |votes: u8, pixels: u8| u8::from(2 * votes > pixels * rows);
+            result[0] = voted(first.iter().sum(), first.len() as u8);
+            result[width - 1] = voted(last.iter().sum(), last.len() as u8);
+            for (r, c) in result.iter_mut().skip(1).zip(columns.windows(3)) {
+                *r = voted(c[0] + c[1] + c[2], 3);
+            }
+        },
+    );
     result
 }
 

@@ -17,11 +17,11 @@ use segwild_vision::Providers;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Raised when the bytes that a stage makes from the same input change.
-const FORMAT: u32 = 5;
+const FORMAT: u32 = 6;
 /// The same for the feature field alone.
 const FIELD: u32 = 6;
 /// The same for the training, whose rules change most often: skies and embeddings, which cost most, stay.
-const TRAINING: u32 = 10;
+const TRAINING: u32 = 11;
 
 /// The keys of one run.
 #[derive(Clone, Debug)]

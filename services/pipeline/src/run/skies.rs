@@ -76,6 +76,11 @@ impl Skies {
         known
     }
 
+    /// Whether it is known whether a view has a sky.
+    pub fn is_known(&self, view: usize) -> bool {
+        self.known.get(view).is_some()
+    }
+
     /// Seconds that the training has waited for skies.
     pub fn waited_s(&self) -> f64 {
         self.waited_us.load(Ordering::Relaxed) as f64 * 1e-6

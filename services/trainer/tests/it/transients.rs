@@ -79,12 +79,11 @@ fn what_a_finer_photo_shows_is_not_left_out_before_it_can_be_learnt() {
     assert!(left_out(grew + 10..grew + 30).iter().all(|&share| share > 0.0), "and are left out again");
 }
 
-#[test]
-fn the_network_sees_transients_and_does_not_take_the_scene_for_them() {
-    let scene = scene(8);
-    let photos = with_transients(&scene);
-    let settings = TrainSettings { robust: true, appearance_model: AppearanceModel::Gsw, ..settings(500) };
-    let model = train(&scene, photos, settings);
+/// Mean visibility of transients and of the rest by the network of a training.
+fn mean_visibility(scene: &Scene, photos: Arc<dyn Photos>, seed: u64) -> [f32; 2] {
+    let settings =
+        TrainSettings { robust: true, appearance_model: AppearanceModel::Gsw, seed, ..settings(500) };
+    let model = train(scene, photos, settings);
     let AnyAppearance::Gsw(appearance) = &model.appearance else { panic!("the model is gsw") };
     let (mut transient, mut rest) = ((0.0, 0), (0.0, 0));
     for i in 0..7 {
@@ -96,8 +95,18 @@ fn the_network_sees_transients_and_does_not_take_the_scene_for_them() {
             *sum = (sum.0 + map.data[k], sum.1 + 1);
         }
     }
-    let (transient, rest) = (transient.0 / transient.1 as f32, rest.0 / rest.1 as f32);
-    assert!(transient < 0.5 && rest > 0.7, "visibility of transients {transient}, of the scene {rest}");
+    [transient, rest].map(|(sum, n)| sum / n as f32)
+}
+
+#[test]
+fn the_network_sees_transients_and_does_not_take_the_scene_for_them() {
+    let scene = scene(8);
+    let photos = with_transients(&scene);
+    // Of eight seeds, transients got .21 to .57 and the scene .93 to .95: one training is chance.
+    let seeds = 1..=4;
+    let of: Vec<_> = seeds.map(|seed| mean_visibility(&scene, photos.clone(), seed)).collect();
+    let [transient, rest] = [0, 1].map(|which| of.iter().map(|v| v[which]).sum::<f32>() / of.len() as f32);
+    assert!(transient < 0.5 && rest > 0.9, "visibility of transients {transient}, of the scene {rest}");
 }
 
 /// A training after a search for initial transients by cross-checking.

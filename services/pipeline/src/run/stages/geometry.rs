@@ -13,14 +13,16 @@ use crate::run::outcome::ActorOutcome;
 use crate::run::products::{Products, SnapshotSlot};
 use crate::run::results::{StageResults, StageVerdict};
 use crate::run::situation::{KeptResults, Situation};
+use crate::run::skies::Skies;
 use crate::run::stage::Stage;
 use crate::run::work::{ActorStage, Actors, StageState};
+use crate::transients::KnownTransients;
 use segwild_flow::ledger::ViewOutcome;
-use segwild_flow::{ActorFailure, Phase, codec};
-use segwild_scene::ReaderError;
-use segwild_trainer::{FindCheckpoint, Model, Photos, Sifted, TrainOrder, TrainOutcome, TrainPhoto};
+use segwild_flow::{ActorFailure, Phase, Stopper, codec};
+use segwild_scene::{PhotoStore, ReaderError};
+use segwild_trainer::{FindCheckpoint, Model, Photos, TrainOrder, TrainOutcome, TrainPhoto};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// The stage in the graph.
@@ -114,7 +116,7 @@ impl ActorStage for GeometryStage {
         }
         let order = TrainOrder {
             scene: run.setup.given.clone(),
-            photos: photos(run),
+            photos: Arc::new(RunPhotos::of(run)),
             settings: run.setup.settings.train.clone(),
             lpips: run.setup.lpips.clone(),
             until,
@@ -231,24 +233,55 @@ fn finish(run: &mut RunContext<'_>) -> Result<(), RunError> {
 }
 
 /// The photos as the trainer reads them: each waits for its sky.
-fn photos(run: &RunContext<'_>) -> Arc<dyn Photos> {
-    let (store, skies) = (run.photos().clone(), run.signals.skies.clone());
-    let (stopper, tainted) = (run.setup.options.stopper.clone(), run.signals.tainted.clone());
-    let transients = run.setup.known.clone();
-    let photos = move |view: usize| -> Result<TrainPhoto, ReaderError> {
-        let loaded = store.read(view).inspect_err(|_| {
-            tainted.fetch_or(store.scene().views[view].intact().is_err(), Ordering::AcqRel);
+struct RunPhotos {
+    store: Arc<PhotoStore>,
+    skies: Arc<Skies>,
+    stopper: Stopper,
+    tainted: Arc<AtomicBool>,
+    transients: KnownTransients,
+    /// Per view, why its photo is not usable, if so.
+    refused: Vec<Option<String>>,
+}
+
+impl RunPhotos {
+    fn of(run: &RunContext<'_>) -> RunPhotos {
+        RunPhotos {
+            store: run.photos().clone(),
+            skies: run.signals.skies.clone(),
+            stopper: run.setup.options.stopper.clone(),
+            tainted: run.signals.tainted.clone(),
+            transients: run.setup.known.clone(),
+            refused: run.keys().refused(),
+        }
+    }
+}
+
+impl Photos for RunPhotos {
+    fn photo(&self, view: usize) -> Result<TrainPhoto, ReaderError> {
+        if let Some(reason) = self.refused(view) {
+            return Err(reason.into());
+        }
+        let loaded = self.store.read(view).inspect_err(|_| {
+            let changed = self.store.scene().views[view].intact().is_err();
+            self.tainted.fetch_or(changed, Ordering::AcqRel);
         })?;
-        let known = skies.wait(view, || stopper.phase() == Phase::Stopping);
-        let sky = skies.read(view);
+        let known = self.skies.wait(view, || self.stopper.phase() == Phase::Stopping);
+        let sky = self.skies.read(view);
         if known.is_none() || sky.is_err() {
-            tainted.store(true, Ordering::Release);
+            self.tainted.store(true, Ordering::Release);
         }
         let mut photo = TrainPhoto::new(Arc::unwrap_or_clone(loaded), sky.map_err(|lost| lost.to_string())?);
-        transients.apply(view, &mut photo)?;
+        self.transients.apply(view, &mut photo)?;
         Ok(photo)
-    };
-    Arc::new(Sifted { photos, refused: run.keys().refused() })
+    }
+
+    fn refused(&self, view: usize) -> Option<String> {
+        self.refused.get(view).cloned().flatten()
+    }
+
+    fn is_ready(&self, view: usize) -> bool {
+        self.skies.is_known(view)
+    }
 }
 
 /// The step of the newest checkpoint, if the training is to stop before its end and has come that far.
