@@ -34,14 +34,15 @@ pub fn show(events: &Events, json: bool) -> std::io::Result<Sink> {
                 bar.set_prefix(stage.clone());
                 open.insert(stage.clone(), bar);
             }
-            Event::StageProgress { stage, done, total, rate, eta_s } => {
+            Event::StageProgress { stage, part, done, total, rate, eta_s } => {
                 if let Some(bar) = open.get(stage) {
                     if let Some(total) = total {
                         bar.set_length(*total);
                     }
                     bar.set_position(*done);
                     let left = eta_s.map_or(String::new(), |s| format!(", {} left", duration(s)));
-                    bar.set_message(format!("{rate:.1}/s{left}"));
+                    let part = part.as_ref().map_or(String::new(), |part| format!("{part}, "));
+                    bar.set_message(format!("{part}{rate:.1}/s{left}"));
                 }
             }
             Event::StageFinished { stage, done, failed, cached, wall_s, .. } => {

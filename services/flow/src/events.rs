@@ -56,6 +56,9 @@ pub enum Event {
     StageProgress {
         /// The stage.
         stage: String,
+        /// The part of the stage that the units are of, where it has parts with units of their own.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        part: Option<String>,
         /// Units of work done, failed and found ones included.
         done: u64,
         /// Units of work in all, if known.

@@ -74,7 +74,7 @@ pub use lease::{Lease, LeaseGuard, LeaseStats, LeaseTurn};
 pub use ledger::{Ledger, LedgerError};
 pub use mailbox::{Closed, Limits, MailboxStats, Receiver, RecvError, Sender, TrySendError, mailbox};
 pub use message::Message;
-pub use meter::{WaitingFor, WorkerState, waiting_for};
+pub use meter::{WaitingFor, WorkerState, sign_of_life, waiting_for};
 pub use program::{ProgramError, ProgramRunner, find_program, program_output};
 pub use progress::StageProgress;
 pub use recorder::Recorder;

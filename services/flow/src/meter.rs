@@ -180,6 +180,12 @@ pub fn waiting_for(what: &str) -> Option<WaitingFor> {
     })
 }
 
+/// A sign of life of the calling worker, from code that has no [`Context`](crate::Context); nothing on a thread that is no
+/// worker.
+pub fn sign_of_life() {
+    PULSE.with_borrow(|current| current.iter().for_each(|pulse| pulse.progress()));
+}
+
 impl Drop for WaitingFor {
     fn drop(&mut self) {
         self.pulse.enter(self.before.0, &self.before.1);

@@ -25,7 +25,10 @@ const MEMORY: f64 = 10.0;
 pub struct StageProgress {
     events: Events,
     stage: String,
+    part: Option<String>,
     total: Option<u64>,
+    /// Of the stage's own work.
+    own_total: Option<u64>,
     made: u64,
     cached: u64,
     failed: u64,
@@ -52,7 +55,9 @@ impl StageProgress {
         Self {
             events,
             stage: stage.into(),
+            part: None,
             total,
+            own_total: total,
             made: 0,
             cached: 0,
             failed: 0,
@@ -75,14 +80,31 @@ impl StageProgress {
     /// ```
     /// let mut stage = segwild_flow::Events::new().stage("poses", Some(12));
     /// stage.advance(12);
-    /// stage.next_part(Some(66));
-    /// assert_eq!((stage.done(), stage.rate()), (0, 0.0));
+    /// stage.next_part("matches", Some(66));
+    /// assert_eq!((stage.part(), stage.done(), stage.rate()), (Some("matches"), 0, 0.0));
+    /// stage.own_work();
+    /// assert_eq!((stage.part(), stage.done()), (None, 0));
     /// ```
-    pub fn next_part(&mut self, total: Option<u64>) {
+    pub fn next_part(&mut self, part: &str, total: Option<u64>) {
+        self.restart(Some(part.to_owned()), total);
+    }
+
+    /// Starts the work that the stage was started with, after the parts that prepare it.
+    pub fn own_work(&mut self) {
+        self.restart(None, self.own_total);
+    }
+
+    fn restart(&mut self, part: Option<String>, total: Option<u64>) {
+        self.part = part;
         (self.made, self.cached, self.failed) = (0, 0, 0);
         (self.work, self.time, self.marked) = (0.0, 0.0, Instant::now());
         self.total = total;
         self.report(self.marked);
+    }
+
+    /// The part that is under way, where the stage has parts with units of their own.
+    pub fn part(&self) -> Option<&str> {
+        self.part.as_deref()
     }
 
     /// So many units were done.
@@ -148,6 +170,7 @@ impl StageProgress {
         self.reported = now;
         self.events.tell(Event::StageProgress {
             stage: self.stage.clone(),
+            part: self.part.clone(),
             done: self.done(),
             total: self.total,
             rate: self.rate(),

@@ -108,7 +108,7 @@ impl Drop for Recorder {
 impl WatchedRun {
     fn stage(&mut self, name: &str) -> &mut LiveStage {
         let at = self.stages.iter().position(|s| s.stage == name).unwrap_or_else(|| {
-            self.stages.push(LiveStage { stage: name.into(), done: 0, total: None, rate: 0.0, eta_s: None });
+            self.stages.push(LiveStage::new(name, None));
             self.stages.len() - 1
         });
         &mut self.stages[at]
@@ -117,11 +117,11 @@ impl WatchedRun {
     fn apply(&mut self, event: &Event) {
         match event {
             Event::StageStarted { stage, total } => {
-                *self.stage(stage) =
-                    LiveStage { stage: stage.clone(), done: 0, total: *total, rate: 0.0, eta_s: None };
+                *self.stage(stage) = LiveStage::new(stage, *total);
             }
-            Event::StageProgress { stage, done, total, rate, eta_s } => {
+            Event::StageProgress { stage, part, done, total, rate, eta_s } => {
                 let now = self.stage(stage);
+                now.part.clone_from(part);
                 (now.done, now.total, now.rate, now.eta_s) = (*done, *total, *rate, *eta_s);
             }
             Event::StageFinished { stage, done, .. } => {

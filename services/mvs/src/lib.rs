@@ -69,7 +69,7 @@ use segwild_scene::{Point, Scene};
 
 /// Photos that a photo is compared with.
 const SOURCES: usize = 5;
-/// Photos whose depths are computed before `stopping` is polled again.
+/// Photos whose depths are computed before `follow` is called again.
 const BATCH: usize = 16;
 
 /// Points on which the photos agree, in scene units; at most `most`, sampled at random where there are more.
@@ -77,7 +77,7 @@ const BATCH: usize = 16;
 /// `views` are indices of the views that take part; `images` are their photos in the same order. The same input gives the
 /// same points, whatever the number of threads. The result is empty for fewer than two views, and for a scene without
 /// points: planes have nowhere to start. Images of a few hundred pixels suffice; time and memory grow with their pixels.
-/// Returns `None` if `stopping` returned true; it is polled every few images.
+/// `follow` receives the images done and their number every few images. Returns `None` if it returned true.
 ///
 /// # Panics
 /// If an image is more than [`LONGEST_SIDE`] pixels wide or high.
@@ -87,7 +87,7 @@ pub fn points(
     images: Vec<StereoImage>,
     most: usize,
     seed: u64,
-    stopping: &dyn Fn() -> bool,
+    follow: &dyn Fn(usize, usize) -> bool,
 ) -> Option<Vec<Point>> {
     let fits = |p: &StereoImage| p.image.width.max(p.image.height) <= LONGEST_SIDE;
     assert!(images.iter().all(fits), "an image is at most {LONGEST_SIDE} pixels wide and high");
@@ -97,7 +97,7 @@ pub fn points(
     let all: Vec<usize> = (0..frames.len()).collect();
     let mut depths = Vec::with_capacity(frames.len());
     for some in all.chunks(BATCH) {
-        if stopping() {
+        if follow(depths.len(), frames.len()) {
             return None;
         }
         let batch_depths = some.par_iter().map(|&i| {

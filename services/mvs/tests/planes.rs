@@ -76,7 +76,7 @@ fn world(light: impl Fn(usize) -> f32) -> (Scene, Vec<StereoImage>) {
 
 fn found(scene: &Scene, images: Vec<StereoImage>, most: usize) -> Vec<Point> {
     let views: Vec<usize> = (0..scene.views.len()).collect();
-    points(scene, &views, images, most, 1, &|| false).expect("nobody stops it")
+    points(scene, &views, images, most, 1, &|_, _| false).expect("nobody stops it")
 }
 
 #[test]
@@ -149,10 +149,10 @@ fn the_same_points_come_of_any_number_of_threads_and_they_are_spread() {
 fn nothing_to_compare_gives_no_points_and_a_stop_none_at_all() {
     let (scene, images) = world(|_| 1.0);
     assert_eq!(
-        points(&scene, &[0], vec![images.into_iter().next().unwrap()], 10, 1, &|| false),
+        points(&scene, &[0], vec![images.into_iter().next().unwrap()], 10, 1, &|_, _| false),
         Some(vec![])
     );
-    assert_eq!(points(&scene, &[], vec![], 10, 1, &|| false), Some(vec![]));
+    assert_eq!(points(&scene, &[], vec![], 10, 1, &|_, _| false), Some(vec![]));
     let (mut bare, images) = world(|_| 1.0);
     bare.points.clear();
     assert_eq!(found(&bare, images, 10), vec![]);
@@ -165,5 +165,5 @@ fn nothing_to_compare_gives_no_points_and_a_stop_none_at_all() {
     let poison = |_| StereoImage { image: Image::filled(W as usize, H as usize, 3, f32::NAN), usable: None };
     assert_eq!(found(&scene, (0..6).map(poison).collect(), 10), vec![]);
     let (scene, images) = world(|_| 1.0);
-    assert_eq!(points(&scene, &[0, 1, 2, 3, 4, 5], images, 10, 1, &|| true), None);
+    assert_eq!(points(&scene, &[0, 1, 2, 3, 4, 5], images, 10, 1, &|_, _| true), None);
 }

@@ -231,7 +231,7 @@ impl Estimation<'_> {
             self.events
                 .warn(Some(STAGE), format!("memory is short: photos are scaled down to {size} px for it"));
         }
-        self.progress.next_part(Some(all.len() as u64));
+        self.progress.next_part("features", Some(all.len() as u64));
         // No photo is in two groups, so that what was there before the first is enough.
         let images = self.folder.images()?;
         for group in lens_groups(all, self.settings.camera_sharing, self.of_video) {
@@ -286,7 +286,8 @@ impl Estimation<'_> {
                 let command = self
                     .matcher("exhaustive_matcher")?
                     .option(&["ExhaustiveMatching.block_size"], pairs::BLOCK);
-                self.progress.next_part(Some((count as u64).div_ceil(pairs::BLOCK).pow(2)));
+                let blocks = (count as u64).div_ceil(pairs::BLOCK).pow(2);
+                self.progress.next_part("matches", Some(blocks));
                 self.colmap(command, |line, progress| {
                     if let Some((done, total)) = line
                         .contains("Matching block")
@@ -311,7 +312,7 @@ impl Estimation<'_> {
 
     /// Runs a command that compares photo by photo.
     fn per_photo(&mut self, command: ColmapCommand, count: usize) -> Result<(), PosesError> {
-        self.progress.next_part(Some(count as u64));
+        self.progress.next_part("matches", Some(count as u64));
         self.colmap(command, |line, progress| {
             progress.advance(u64::from(line.contains("Matching image [")));
         })
@@ -324,7 +325,7 @@ impl Estimation<'_> {
         let features: u64 = images.values().filter_map(|image| image.features).sum();
         // The tree is made of some of the photos alone.
         let features = features * pairs::TREE_PHOTOS.min(images.len()) as u64 / images.len().max(1) as u64;
-        self.progress.next_part(None);
+        self.progress.next_part("vocabulary tree", None);
         let command = self
             .colmap
             .command("vocab_tree_builder")?
@@ -426,7 +427,7 @@ impl Estimation<'_> {
     ) -> Result<Vec<PoseModel>, PosesError> {
         self.calibrate(glomap, photos)?;
         self.say(format!("{} finds the poses of {} photos at once", glomap.version, photos.photos.len()));
-        self.progress.next_part(None);
+        self.progress.next_part("mapping", None);
         let (database, list, models) = (self.folder.database(), self.list(), self.empty_models()?);
         let files = MapperFiles { database: &database, photos: &photos.folder, list: &list, models: &models };
         let command = glomap.command()?;
@@ -518,7 +519,7 @@ impl Estimation<'_> {
         let files = MapperFiles { database: &database, photos: &photos.folder, list: &list, models };
         let command = self.colmap.command("mapper")?;
         let arguments = files.one_by_one(command, self.limits.threads, LEAST_PHOTOS, &snapshots, from);
-        self.progress.next_part(Some(photos.photos.len() as u64));
+        self.progress.next_part("mapping", Some(photos.photos.len() as u64));
         let program = self.colmap.program().to_owned();
         self.child(&[], &program, &arguments, |line, progress| {
             if line.contains("Registering image #") {

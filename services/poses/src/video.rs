@@ -79,7 +79,7 @@ impl Ffmpeg {
         if chosen.is_empty() {
             return Err(refused("it has no frames".into()));
         }
-        progress.next_part(None);
+        progress.next_part("frames", None);
         let select = format!("select='{}'", numbers(&chosen));
         let pattern = folder.join("frame-%05d.jpg").display().to_string();
         programs.run(&self.program, &arguments(video, &select, &["-q:v", "2", &pattern]), |_| {})?;

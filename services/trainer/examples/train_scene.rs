@@ -55,7 +55,7 @@ fn main() -> Result<(), ReaderError> {
     });
     let fits = train.appearance_model != segwild_trainer::AppearanceModel::None;
     let engine = Arc::new(CpuEngine::new());
-    let mut trainer = Trainer::prepared(engine.clone(), &scene, photos.clone(), train, &|| false)?;
+    let mut trainer = Trainer::prepared(engine.clone(), &scene, photos.clone(), train, &|_| false)?;
     for warning in trainer.warnings() {
         println!("warning: {warning}");
     }

@@ -1,16 +1,20 @@
 //! The actor of the trainer: one order trains one scene, and its outcomes are sent on as they come.
 
 use crate::imported::{self, ImportedModel};
+use crate::preparation_progress::PreparationProgress;
 use crate::{Checkpoint, Model, Photos, SeamCheck, TrainError, TrainSettings, Trainer};
 use segwild_flow::{Actor, ActorFailure, Context, Message, Quarantined, Sender, fault};
 use segwild_nn::Lpips;
 use segwild_objective::Engine;
 use segwild_scene::{ImportedSplats, Scene, Skipped};
+use std::cell::Cell;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Steps between two reports of progress.
 const REPORT_EVERY: u32 = 20;
+/// Steps or photos of the preparation between two reports.
+const PREPARED_EVERY: usize = 10;
 
 /// Finds the checkpoint to go on from, if there is one.
 pub type FindCheckpoint = dyn Fn() -> Result<Option<Checkpoint>, ActorFailure> + Send + Sync;
@@ -56,6 +60,8 @@ pub enum TrainOutcome {
         /// The photos in the order of the coming steps, each at least once.
         upcoming: Vec<usize>,
     },
+    /// How far what comes before the first step is, every few of its units.
+    Preparing(PreparationProgress),
     /// Means of the last steps, every few steps.
     Progress {
         /// Steps done.
@@ -148,9 +154,19 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
             context.progress();
             context.stopping()
         };
+        let reported = Cell::new(None);
+        let follow = |now: PreparationProgress| {
+            let due = (now.part, now.done / PREPARED_EVERY);
+            // A consumer that is gone ends the work by itself.
+            let sent =
+                reported.replace(Some(due)) == Some(due) || self.send(TrainOutcome::Preparing(now)).is_ok();
+            stopping() || !sent
+        };
+        // What comes before the first step counts: it may take longer than all that is lost between two checkpoints.
+        let mut saved = Instant::now();
         let started = match (order.checkpoint)()? {
             Some(checkpoint) => Trainer::resume_unless(engine, scene, photos, checkpoint, &stopping),
-            None => Trainer::prepared(engine, scene, photos, order.settings.clone(), &stopping),
+            None => Trainer::prepared(engine, scene, photos, order.settings.clone(), &follow),
         };
         let mut trainer = started.map_err(|e| match e {
             TrainError::Stopped => ActorFailure::stopped(),
@@ -184,7 +200,6 @@ impl<O: Message + From<TrainOutcome>> TrainActor<O> {
             context.events().info(Some("geometry"), message);
         }
         self.send(TrainOutcome::Began { step: trainer.steps_done(), upcoming: trainer.upcoming() })?;
-        let mut saved = Instant::now();
         while trainer.steps_done() < order.until {
             if context.stopping() {
                 self.send(TrainOutcome::Checkpoint(Arc::new(

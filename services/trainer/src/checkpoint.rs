@@ -118,7 +118,8 @@ impl Trainer {
         let unseen = state.sampler.views().iter().any(|&view| state.backgrounds[view].is_none());
         let shown = if (unseen || settings.blocks > 1) && scene.colourless().is_some() {
             let refined = PosesByPoints::of(scene, &settings).refined;
-            let points = coloured(&with_poses(scene, &refined), &mut photos, stopping)?.points.clone();
+            let points =
+                coloured(&with_poses(scene, &refined), &mut photos, &|_, _| stopping())?.points.clone();
             Cow::Owned(Scene { points, ..scene.clone() })
         } else {
             Cow::Borrowed(scene)

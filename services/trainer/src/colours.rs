@@ -51,11 +51,12 @@ impl PointColours {
     }
 }
 
-/// The scene with a colour for every point; itself where its points have one. `stopping` ends the work.
+/// The scene with a colour for every point; itself where its points have one. `follow` receives the photos read and their
+/// number, and returns whether to stop.
 pub(crate) fn coloured<'a>(
     scene: &'a Scene,
     photos: &mut TrainPhotoCache,
-    stopping: &dyn Fn() -> bool,
+    follow: &dyn Fn(usize, usize) -> bool,
 ) -> Result<Cow<'a, Scene>, TrainError> {
     let Some(none) = scene.colourless() else { return Ok(Cow::Borrowed(scene)) };
     let mut seen = vec![PointColours::default(); scene.points.len()];
@@ -63,9 +64,10 @@ pub(crate) fn coloured<'a>(
     let tracked = tracked(scene, &wanted);
     let untracked: Vec<usize> =
         (0..seen.len()).filter(|&i| wanted[i] && scene.points[i].track.is_empty()).collect();
-    for view in spread(scene) {
+    let views = spread(scene);
+    for (read, &view) in views.iter().enumerate() {
         // A photo may have to wait for its sky.
-        if stopping() {
+        if follow(read, views.len()) {
             return Err(TrainError::Stopped);
         }
         let Some(stored) = photos.usable(view)? else { continue };
@@ -194,7 +196,7 @@ mod tests {
         let black = [DARKEST; 3];
         let points = vec![point(Vec3::ZERO, black, &[0, 1, 2, 4]), point(Vec3::X, [0.7; 3], &[0])];
         let scene = scene(points, 5);
-        let got = coloured(&scene, &mut photos(5), &|| false).unwrap();
+        let got = coloured(&scene, &mut photos(5), &|_, _| false).unwrap();
         assert!((got.points[0].colour[0] - 0.2).abs() < 0.005, "{:?}", got.points[0].colour);
         assert_eq!(got.points[1].colour, [0.7; 3], "a colour of its own stays");
     }
@@ -207,7 +209,7 @@ mod tests {
             point(Vec3::new(0.0, 0.0, -9.0), [DARKEST; 3], &[]),
         ];
         let scene = scene(points, 1);
-        let got = coloured(&scene, &mut photos(1), &|| false).unwrap();
+        let got = coloured(&scene, &mut photos(1), &|_, _| false).unwrap();
         assert!((got.points[0].colour[0] - 0.1).abs() < 0.005, "{:?}", got.points[0].colour);
         assert_eq!(got.points[1].colour, GREY, "it stands behind the first");
         assert_eq!(got.points[2].colour, GREY, "it stands behind the camera");
@@ -219,6 +221,6 @@ mod tests {
         let scene = scene(points, 3);
         let refuse = |_: usize| -> Result<TrainPhoto, Infallible> { panic!("no photo is needed") };
         let mut photos = TrainPhotoCache::new(Arc::new(refuse), vec![String::new(); 3], 1 << 20);
-        assert!(matches!(coloured(&scene, &mut photos, &|| false), Ok(Cow::Borrowed(_))));
+        assert!(matches!(coloured(&scene, &mut photos, &|_, _| false), Ok(Cow::Borrowed(_))));
     }
 }

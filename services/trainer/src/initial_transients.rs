@@ -12,6 +12,7 @@ use crate::evaluate::{Unseen, render_unseen};
 use crate::multi_view_pruning::votes;
 use crate::photos::{Stored, TrainPhotoCache};
 use crate::posed::Posed;
+use crate::preparation_progress::{PreparationPart, PreparationProgress};
 use crate::{AppearanceModel, Model, TrainError, TrainSettings, Trainer};
 use segwild_objective::Engine;
 use segwild_objective::transients::{INITIAL_TRANSIENT, relative};
@@ -99,13 +100,14 @@ pub(crate) fn search_steps(steps: u32) -> u32 {
     (steps / STEPS.0).clamp(STEPS.1, STEPS.2)
 }
 
-/// Searches for transients by [`TrainSettings::cross_checks`] short trainings.
+/// Searches for transients by [`TrainSettings::cross_checks`] short trainings. `follow` receives how far it is, and returns whether
+/// to stop.
 pub(crate) fn initial_transients(
     engine: &Arc<dyn Engine>,
     scene: &Scene,
     photos: &mut TrainPhotoCache,
     settings: &TrainSettings,
-    stopping: &dyn Fn() -> bool,
+    follow: &dyn Fn(PreparationProgress) -> bool,
 ) -> Result<InitialTransients, TrainError> {
     let unknown = || InitialTransients::unknown(scene.views.len());
     let mut found = unknown();
@@ -141,7 +143,9 @@ pub(crate) fn initial_transients(
             started => started?,
         };
         while !trainer.is_done() {
-            if stopping() {
+            let done = part * short.steps as usize + trainer.steps_done() as usize;
+            let part = PreparationPart::ShortTrainings;
+            if follow(PreparationProgress { part, done, total: parts * short.steps as usize }) {
                 return Err(TrainError::Stopped);
             }
             match trainer.step() {
@@ -157,7 +161,12 @@ pub(crate) fn initial_transients(
         let resident = engine.upload_splats(&model.splats)?;
         let renderer = resident.as_deref().unwrap_or(&**engine);
         let check = CrossCheck { engine: renderer, model: &model, scene, share: settings.robust_share };
-        check.mark(&held, &posed, photos, &mut found)?;
+        let before = (0..part).map(|part| train.len().saturating_sub(part).div_ceil(parts)).sum::<usize>();
+        let checked = |done: usize| {
+            let (part, done) = (PreparationPart::CrossChecks, before + done);
+            follow(PreparationProgress { part, done, total: train.len() })
+        };
+        check.mark(&held, &posed, photos, &mut found, &checked)?;
     }
     if found.mean_share().is_none_or(|share| share < USED) {
         found.masks.fill(None);
@@ -184,16 +193,20 @@ struct Contradiction {
 
 impl CrossCheck<'_> {
     /// Marks what contradicts the training in the photos `held` out of it, and measures how much of it is not undertrained.
+    /// `follow` receives the photos checked, and returns whether to stop.
     fn mark(
         &self,
         held: &[usize],
         posed: &[Posed],
         photos: &mut TrainPhotoCache,
         found: &mut InitialTransients,
+        follow: &dyn Fn(usize) -> bool,
     ) -> Result<(), TrainError> {
+        let go_on = |done| if follow(done) { Err(TrainError::Stopped) } else { Ok(()) };
         let mut contradictions = Vec::new();
         let mut votes = vec![[0.0f32; 2]; self.model.splats.len()];
-        for &view in held {
+        for (done, &view) in held.iter().enumerate() {
+            go_on(done)?;
             // One that cannot be read is named where it is trained on.
             let Ok(stored) = photos.get(view) else { continue };
             let Some(contradiction) = self.contradiction(view, &posed[view], &stored)? else { continue };
@@ -206,6 +219,7 @@ impl CrossCheck<'_> {
             contradictions.push((view, contradiction));
         }
         for (view, Contradiction { mask, clear }) in contradictions {
+            go_on(held.len())?;
             let Ok(stored) = photos.get(view) else { continue };
             let undertrained = self.undertrained(view, &stored, &mask, &votes)?;
             let transient = clear.minus(&undertrained);

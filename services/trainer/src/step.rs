@@ -207,6 +207,8 @@ impl Trainer {
             let engine = resident.as_deref().unwrap_or(&*engine);
             let mut sum = vec![0.0f32; splats.len()];
             for &view in &views {
+                // A thousand photos take minutes.
+                segwild_flow::sign_of_life();
                 let Some(stored) = photos.usable(view)? else { continue };
                 let (level, size) = stored.level(1);
                 let camera = stored.camera(&posed[view].camera, level);

@@ -29,12 +29,13 @@ pub(crate) fn compared_photos(settings: &TrainSettings, photos: usize) -> usize 
 }
 
 /// Points that photos agree on, as many as are to start splats beside the reconstruction's; `initial_transients` are left out.
+/// `follow` receives the photos compared and their number, and returns whether to stop.
 pub(crate) fn points(
     scene: &Scene,
     photos: &mut TrainPhotoCache,
     settings: &TrainSettings,
     initial_transients: &[Option<Mask>],
-    stopping: &dyn Fn() -> bool,
+    follow: &dyn Fn(usize, usize) -> bool,
 ) -> Result<Vec<Point>, TrainError> {
     if settings.stereo <= 0.0 {
         return Ok(Vec::new());
@@ -45,7 +46,7 @@ pub(crate) fn points(
     let (mut pixels, mut ground) = (0, Vec::new());
     for &view in train.iter().step_by(every) {
         // A photo may have to wait for its sky.
-        if stopping() {
+        if follow(0, train.len().div_ceil(every)) {
             return Err(TrainError::Stopped);
         }
         let Some(stored) = photos.usable(view)? else { continue };
@@ -72,7 +73,7 @@ pub(crate) fn points(
     if most == 0 {
         return Ok(Vec::new());
     }
-    segwild_mvs::points(scene, &views, images, most, settings.seed, stopping).ok_or(TrainError::Stopped)
+    segwild_mvs::points(scene, &views, images, most, settings.seed, follow).ok_or(TrainError::Stopped)
 }
 
 #[cfg(test)]
@@ -103,7 +104,7 @@ mod tests {
         let names = vec!["0.jpg".to_owned(), "1.jpg".to_owned()];
         let mut photos = TrainPhotoCache::new(Arc::new(strip), names, 1 << 20);
         let settings = TrainSettings { stereo: 1.0, ..TrainSettings::default() };
-        let found = points(&scene, &mut photos, &settings, &[None, None], &|| false);
+        let found = points(&scene, &mut photos, &settings, &[None, None], &|_, _| false);
         assert_eq!(found.expect("the photos can be read"), vec![]);
     }
 }

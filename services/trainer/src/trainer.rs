@@ -103,7 +103,7 @@ impl Trainer {
         let poses = PosesByPoints::of(scene, &settings);
         let mut cache = photo_cache(scene, photos, &settings);
         let refined = with_poses(scene, &poses.refined);
-        let coloured = coloured(&refined, &mut cache, &|| false)?;
+        let coloured = coloured(&refined, &mut cache, &|_, _| false)?;
         let trainer = Trainer::start(engine, &coloured, cache, settings, 0, &[])?.with_poses(scene, poses);
         Ok(if divided { trainer.divided(requested, scene, &coloured.points) } else { trainer })
     }

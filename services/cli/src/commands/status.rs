@@ -103,6 +103,7 @@ fn stage_words(stage: &StageView) -> String {
     let mut words = Vec::new();
     match stage.state.as_str() {
         "running" => {
+            words.extend(stage.part.clone());
             words.extend(stage.total.map(|total| format!("{} of {total}", stage.done)));
             words.extend(stage.eta_s.map(|s| format!("{} left", duration(s))));
         }

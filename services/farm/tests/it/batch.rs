@@ -187,7 +187,7 @@ fn run_under_a_clock_that_is_off(scene: &str, off_s: f64) -> BatchSummary {
         let (mut ledger, mut done) = (None, 0);
         while let Err(mpsc::RecvTimeoutError::Timeout) = ended.recv_timeout(Duration::from_millis(50)) {
             done += u64::from(works);
-            let stage = LiveStage { stage: "geometry".into(), done, total: None, rate: 0.0, eta_s: None };
+            let stage = LiveStage { stage: "geometry".into(), done, ..LiveStage::default() };
             let sample =
                 LiveSample { time: wall, pid, moved: wall, stages: vec![stage], ..LiveSample::default() };
             std::fs::create_dir_all(&out).expect("a folder");

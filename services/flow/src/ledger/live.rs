@@ -87,10 +87,13 @@ pub struct LiveMailbox {
 }
 
 /// How far a stage has come.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LiveStage {
     /// The stage.
     pub stage: String,
+    /// The part that the units are of, where the stage has parts with units of their own.
+    #[serde(default)]
+    pub part: Option<String>,
     /// Units of work done, failed and found ones included.
     pub done: u64,
     /// Units in all, if known.
@@ -99,6 +102,13 @@ pub struct LiveStage {
     pub rate: f64,
     /// Seconds to go, if that is known.
     pub eta_s: Option<f64>,
+}
+
+impl LiveStage {
+    /// A stage that starts.
+    pub(crate) fn new(stage: &str, total: Option<u64>) -> LiveStage {
+        LiveStage { stage: stage.into(), total, ..LiveStage::default() }
+    }
 }
 
 /// A measured number's last value.
@@ -156,7 +166,7 @@ impl LiveSample {
     ///
     /// ```
     /// use segwild_flow::ledger::{LiveSample, LiveStage};
-    /// let stage = |done| LiveStage { stage: "sky".into(), done, total: None, rate: 0.0, eta_s: None };
+    /// let stage = |done| LiveStage { stage: "sky".into(), done, ..LiveStage::default() };
     /// let sample = |time, done| LiveSample { time, stages: vec![stage(done)], ..LiveSample::default() };
     /// assert_eq!(sample(1.0, 4).movement(), sample(9.0, 4).movement());
     /// assert_ne!(sample(1.0, 4).movement(), sample(1.0, 5).movement());

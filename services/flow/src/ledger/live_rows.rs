@@ -114,6 +114,9 @@ fn write_sample(t: &Transaction<'_>, sample: &LiveSample) -> rusqlite::Result<()
             "INSERT OR REPLACE INTO progress VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
             params![s.stage, index as i64, s.done as i64, s.total.map(|n| n as i64), s.rate, s.eta_s],
         )?;
+        if let Some(part) = &s.part {
+            t.execute("INSERT OR REPLACE INTO parts VALUES (?1, ?2)", params![s.stage, part])?;
+        }
     }
     for m in &sample.metrics {
         // SQLite keeps NaN as NULL: a number that is none is left out.
@@ -213,8 +216,15 @@ fn read_sample(t: &Transaction<'_>) -> rusqlite::Result<Option<LiveSample>> {
             })
         })?
         .collect::<rusqlite::Result<_>>()?;
+    // Ledgers of older versions have no parts.
+    let (part, parts) = match has_table(t, "parts")? {
+        true => ("part", "LEFT JOIN parts USING (stage)"),
+        false => ("NULL", ""),
+    };
     sample.stages = t
-        .prepare("SELECT stage, done, total, rate, eta_s FROM progress ORDER BY place")?
+        .prepare(&format!(
+            "SELECT stage, done, total, rate, eta_s, {part} FROM progress {parts} ORDER BY place"
+        ))?
         .query_map([], |row| {
             Ok(LiveStage {
                 stage: row.get(0)?,
@@ -222,6 +232,7 @@ fn read_sample(t: &Transaction<'_>) -> rusqlite::Result<Option<LiveSample>> {
                 total: maybe_number(row, 2)?,
                 rate: row.get(3)?,
                 eta_s: row.get(4)?,
+                part: row.get(5)?,
             })
         })?
         .collect::<rusqlite::Result<_>>()?;
@@ -239,8 +250,8 @@ fn read_sample(t: &Transaction<'_>) -> rusqlite::Result<Option<LiveSample>> {
     Ok(Some(sample))
 }
 
-fn has_tables(c: &Connection) -> rusqlite::Result<bool> {
-    c.query_row("SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'live')", [], |row| row.get(0))
+fn has_table(c: &Connection, name: &str) -> rusqlite::Result<bool> {
+    c.query_row("SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = ?1)", [name], |row| row.get(0))
 }
 
 impl Ledger {
@@ -250,7 +261,7 @@ impl Ledger {
     /// When the ledger cannot be written.
     pub fn record_live(&self, sample: &LiveSample, past: bool) -> Result<(), LedgerError> {
         self.write(Commit::Quick, |t| {
-            for table in ["live", "actors", "workers", "mailboxes", "progress", "metrics"] {
+            for table in ["live", "actors", "workers", "mailboxes", "progress", "parts", "metrics"] {
                 t.execute(&format!("DELETE FROM {table}"), [])?;
             }
             write_sample(t, sample)?;
@@ -283,7 +294,7 @@ impl Ledger {
         self.read(|c| {
             // One transaction: the tables are of one moment.
             let t = c.unchecked_transaction()?;
-            if has_tables(&t)? { read_sample(&t) } else { Ok(None) }
+            if has_table(&t, "live")? { read_sample(&t) } else { Ok(None) }
         })
     }
 
@@ -293,7 +304,7 @@ impl Ledger {
     /// When the ledger cannot be read.
     pub fn past(&self, count: usize) -> Result<Vec<PastSample>, LedgerError> {
         self.read(|c| {
-            if !has_tables(c)? {
+            if !has_table(c, "live")? {
                 return Ok(Vec::new());
             }
             c.prepare(

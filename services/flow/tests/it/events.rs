@@ -27,7 +27,14 @@ fn one_of_each() -> Vec<Event> {
     let (stage, actor) = ("masks".to_string(), "masks".to_string());
     vec![
         Event::StageStarted { stage: stage.clone(), total: Some(3) },
-        Event::StageProgress { stage: stage.clone(), done: 1, total: None, rate: 0.5, eta_s: None },
+        Event::StageProgress {
+            stage: stage.clone(),
+            part: None,
+            done: 1,
+            total: None,
+            rate: 0.5,
+            eta_s: None,
+        },
         Event::StageFinished {
             stage: stage.clone(),
             done: 3,

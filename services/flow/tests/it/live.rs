@@ -1,6 +1,6 @@
 //! What other processes see of a run while it works and after it ended.
 
-use segwild_flow::ledger::{LiveMailbox, LiveSample};
+use segwild_flow::ledger::{LiveMailbox, LiveSample, LiveStage};
 use segwild_flow::{
     Actor, ActorFailure, ActorOptions, Context, Event, Events, Ledger, Limits, Recorder, System,
     SystemOptions, WorkerState, mailbox, waiting_for,
@@ -116,8 +116,13 @@ fn what_is_written_reads_back_the_same() {
     let recorder = Recorder::start(&ledger, &events).expect("a recorder");
     events.metric("geometry", "loss", f64::NAN, Some(40));
     events.metric("geometry", "psnr_db", 21.5, Some(40));
+    let _whole = events.stage("sky", Some(3));
+    let mut in_parts = events.stage("geometry", Some(300));
+    in_parts.next_part("short trainings", Some(100));
     drop(recorder);
     let seen = ledger.live().expect("it reads").expect("a sample");
+    let parts: Vec<_> = seen.stages.iter().map(|s| (s.stage.as_str(), s.part.as_deref(), s.total)).collect();
+    assert_eq!(parts, [("sky", None, Some(3)), ("geometry", Some("short trainings"), Some(100))]);
     let names: Vec<_> = seen.metrics.iter().map(|m| (m.name.as_str(), m.value, m.step)).collect();
     assert_eq!(names, [("psnr_db", 21.5, Some(40))], "a number that is none is left out");
     ledger.record_live(&seen, false).expect("it writes");
@@ -158,11 +163,24 @@ fn a_long_past_gets_coarser_and_never_longer() {
 }
 
 #[test]
+fn a_ledger_from_before_the_parts_of_stages_still_reads() {
+    let (_dir, path) = folder();
+    let ledger = Ledger::open(&path).expect("a ledger");
+    let stage = LiveStage { stage: "sky".into(), done: 4, ..LiveStage::default() };
+    let seen = LiveSample { stages: vec![stage], ..LiveSample::default() };
+    ledger.record_live(&seen, false).expect("it writes");
+    drop(ledger);
+    rusqlite::Connection::open(&path).expect("a database").execute("DROP TABLE parts", []).expect("it goes");
+    let reader = Ledger::open_read_only(&path).expect("it is the same format");
+    assert_eq!(reader.live().expect("it reads"), Some(seen));
+}
+
+#[test]
 fn a_ledger_from_before_the_live_view_still_reads() {
     let (_dir, path) = folder();
     drop(Ledger::open(&path).expect("a ledger"));
     let old = rusqlite::Connection::open(&path).expect("a database");
-    for table in ["live", "actors", "workers", "mailboxes", "progress", "metrics", "samples"] {
+    for table in ["live", "actors", "workers", "mailboxes", "progress", "parts", "metrics", "samples"] {
         old.execute(&format!("DROP TABLE {table}"), []).expect("it goes");
     }
     drop(old);

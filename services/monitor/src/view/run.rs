@@ -312,6 +312,7 @@ fn stages(
         StageView {
             name: name.into(),
             state: state.into(),
+            part: live.filter(|_| going).and_then(|l| l.part.clone()),
             done: live.map_or(booked, |l| l.done.max(if going { 0 } else { booked })),
             total: live.and_then(|l| l.total).or((booked > 0).then_some(booked)),
             rate: live.filter(|_| going).map_or(0.0, |l| l.rate),

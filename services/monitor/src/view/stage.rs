@@ -12,6 +12,9 @@ pub struct StageView {
     pub name: String,
     /// `waiting` (not started), `pending` (interrupted), `running`, `done`, `failed`.
     pub state: String,
+    /// The part that the units are of, where the stage has parts with units of their own.
+    #[serde(default)]
+    pub part: Option<String>,
     /// Units done; those found in the cache and those that failed included.
     pub done: u64,
     /// Units in all, if known.

@@ -37,6 +37,23 @@ fn everything_that_waits_says_why() {
 }
 
 #[test]
+fn a_stage_says_which_of_its_parts_is_under_way() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let mut now = sample();
+    let geometry = now.stages.iter_mut().find(|s| s.stage == "geometry").expect("it runs");
+    geometry.part = Some("short trainings".into());
+    let _ledger = run_in(dir.path(), &now);
+    let run = run_view(dir.path());
+    let stage = |name: &str| run.stages.iter().find(|s| s.name == name).expect("it is listed");
+    assert_eq!(stage("geometry").part.as_deref(), Some("short trainings"));
+    let why = stage("objects").why.as_deref();
+    assert_eq!(
+        why,
+        Some("waits for masks 1/4 (6.0 s left), geometry (short trainings) 500/1000 (6.2 s left)")
+    );
+}
+
+#[test]
 fn what_was_seen_stays_after_the_run() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let ledger = run_in(dir.path(), &sample());

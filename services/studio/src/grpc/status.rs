@@ -88,6 +88,7 @@ fn stage(stage: StageView) -> v1::StageView {
     let StageView {
         name,
         state,
+        part,
         done,
         total,
         rate,
@@ -118,6 +119,7 @@ fn stage(stage: StageView) -> v1::StageView {
         runs,
         error,
         why,
+        part,
     }
 }
 

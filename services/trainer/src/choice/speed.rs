@@ -81,7 +81,7 @@ pub fn measure_steps(
     let mut budget = SplatBudget::new(&settings, scene.points.len(), train.len(), pixels);
     held.iter().for_each(|stored| budget.add_photo(stored.levels[0].ground()));
     let splats = budget.splats();
-    let start = coloured(&apart, &mut cache, stopping)?;
+    let start = coloured(&apart, &mut cache, &|_, _| stopping())?;
     let mut timed = |splats: usize, finest: usize| -> Result<(usize, f64), TrainError> {
         let settings = TrainSettings { steps: STEPS.0, splats, ..settings.clone() };
         settings.check()?;

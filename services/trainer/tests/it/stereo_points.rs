@@ -25,7 +25,7 @@ fn sparse(every: usize) -> Scene {
 
 fn started(scene: &Scene, stereo: f32) -> Trainer {
     let settings = TrainSettings { stereo, ..settings(120) };
-    Trainer::prepared(engine(), scene, photos(scene, true, |_, _| {}), settings, &|| false).unwrap()
+    Trainer::prepared(engine(), scene, photos(scene, true, |_, _| {}), settings, &|_| false).unwrap()
 }
 
 #[test]
@@ -63,6 +63,6 @@ fn a_resumed_training_needs_no_second_stereo_initialisation() {
 fn stereo_initialisation_can_be_stopped() {
     let scene = sparse(6);
     let settings = TrainSettings { stereo: 0.6, ..settings(120) };
-    let stopped = Trainer::prepared(engine(), &scene, photos(&scene, true, |_, _| {}), settings, &|| true);
+    let stopped = Trainer::prepared(engine(), &scene, photos(&scene, true, |_, _| {}), settings, &|_| true);
     assert!(matches!(stopped, Err(TrainError::Stopped)));
 }

@@ -4,9 +4,10 @@ use crate::wall::*;
 use segwild_objective::AnyAppearance;
 use segwild_scene::{Image, Mask, ReaderError, Scene};
 use segwild_trainer::{
-    AppearanceModel, Photos, TrainError, TrainPhoto, TrainSettings, Trainer, choose_appearance, render_view,
+    AppearanceModel, Photos, PreparationPart, PreparationProgress, TrainError, TrainPhoto, TrainSettings,
+    Trainer, choose_appearance, render_view,
 };
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::sync::Arc;
 
 /// In every photo a red block stands somewhere else.
@@ -112,7 +113,7 @@ fn the_network_sees_transients_and_does_not_take_the_scene_for_them() {
 /// A training after a search for initial transients by cross-checking.
 fn cross_checked(photos: Arc<dyn Photos>, scene: &Scene) -> Trainer {
     let settings = TrainSettings { robust: true, ..settings(1500) };
-    Trainer::prepared(engine(), scene, photos, settings, &|| false).unwrap()
+    Trainer::prepared(engine(), scene, photos, settings, &|_| false).unwrap()
 }
 
 /// Recall and precision of the initial transients of a training.
@@ -204,7 +205,7 @@ fn the_search_for_initial_transients_can_be_stopped_and_is_left_out_where_few_ph
     let scene = scene(25);
     let all = with_transients(&scene);
     let calls = Cell::new(0);
-    let stopping = || {
+    let stopping = |_| {
         calls.set(calls.get() + 1);
         calls.get() > 40
     };
@@ -213,9 +214,32 @@ fn the_search_for_initial_transients_can_be_stopped_and_is_left_out_where_few_ph
     assert!(matches!(stopped, Err(TrainError::Stopped)) && calls.get() == 41);
     // Every second photo is damaged: one of the two trainings has none.
     let half = move |i: usize| if i.is_multiple_of(2) { Err("it is damaged".into()) } else { all.photo(i) };
-    let trainer = Trainer::prepared(engine(), &scene, Arc::new(half), settings, &|| false).unwrap();
+    let trainer = Trainer::prepared(engine(), &scene, Arc::new(half), settings, &|_| false).unwrap();
     assert!((0..scene.views.len()).all(|view| trainer.initial_transients(view).is_none()));
     trainer.finish().unwrap();
+}
+
+#[test]
+fn what_comes_before_a_training_says_how_far_it_is() {
+    let scene = scene(25);
+    let reports = RefCell::new(Vec::new());
+    let follow = |now: PreparationProgress| {
+        reports.borrow_mut().push(now);
+        false
+    };
+    let settings = TrainSettings { robust: true, stereo: 1.0, ..settings(300) };
+    Trainer::prepared(engine(), &scene, with_transients(&scene), settings, &follow).unwrap();
+    let reports = reports.into_inner();
+    let mut parts: Vec<PreparationPart> = reports.iter().map(|now| now.part).collect();
+    parts.dedup();
+    let (trainings, checks) = (PreparationPart::ShortTrainings, PreparationPart::CrossChecks);
+    assert_eq!(parts, [trainings, checks, trainings, checks, PreparationPart::Stereo]);
+    let of = |part| reports.iter().filter(move |now| now.part == part).map(|now| (now.done, now.total));
+    assert!(of(trainings).eq((0..200).map(|step| (step, 200))), "every step of two trainings of 100");
+    for part in [checks, PreparationPart::Stereo] {
+        assert!(of(part).is_sorted() && of(part).all(|(done, total)| done <= total && total <= 24), "{part}");
+    }
+    assert_eq!(of(checks).next_back(), Some((24, 24)), "the photos that are trained on");
 }
 
 #[test]

@@ -13,6 +13,9 @@ fn how_far(stage: &StageView) -> String {
     if stage.state != "running" {
         return text;
     }
+    if let Some(part) = &stage.part {
+        text += &format!(" ({part})");
+    }
     if let Some(total) = stage.total {
         text += &format!(" {}/{total}", stage.done);
     }

@@ -60,6 +60,7 @@ pub fn mailbox(name: &str, depth: u64) -> LiveMailbox {
 pub fn sample() -> LiveSample {
     let stage = |stage: &str, done, total, rate, eta_s| LiveStage {
         stage: stage.into(),
+        part: None,
         done,
         total: Some(total),
         rate,

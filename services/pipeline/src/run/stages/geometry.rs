@@ -20,7 +20,9 @@ use crate::transients::KnownTransients;
 use segwild_flow::ledger::ViewOutcome;
 use segwild_flow::{ActorFailure, Phase, Stopper, codec};
 use segwild_scene::{PhotoStore, ReaderError};
-use segwild_trainer::{FindCheckpoint, Model, Photos, TrainOrder, TrainOutcome, TrainPhoto};
+use segwild_trainer::{
+    FindCheckpoint, Model, Photos, PreparationProgress, TrainOrder, TrainOutcome, TrainPhoto,
+};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -153,9 +155,22 @@ impl GeometryStage {
                     run.setup.options.events.info(Some(name), format!("goes on from step {step}"));
                 }
                 if let Some(bar) = run.bar(Stage::Geometry) {
+                    if bar.part().is_some() {
+                        bar.own_work();
+                    }
                     bar.cached(u64::from(step).saturating_sub(bar.done()));
                 }
                 if again { Ok(()) } else { history::trim(run.setup.folder, step) }
+            }
+            TrainOutcome::Preparing(PreparationProgress { part, done, total }) => {
+                if let Some(bar) = run.bar(Stage::Geometry) {
+                    let (name, total) = (part.to_string(), total as u64);
+                    if bar.part() != Some(&name) || (bar.done() as usize) > done {
+                        bar.next_part(&name, Some(total));
+                    }
+                    bar.advance((done as u64).saturating_sub(bar.done()));
+                }
+                Ok(())
             }
             TrainOutcome::Progress { step, loss, psnr, splats, left_out } => {
                 // Imported splats are not trained: they have no losses.
