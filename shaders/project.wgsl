@@ -17,9 +17,15 @@
 @group(0) @binding(6) var<storage, read_write> seen: array<vec4f>;
 // Tiles the splat touches; 0 for a culled one.
 @group(0) @binding(7) var<storage, read_write> counts: array<u32>;
-// Sort key: the bits of its depth, which have the order of the depths since these are positive.
+// Sort key of DEPTH_BITS bits: those of its depth, which have the order of the depths since these are positive, above
+// those of the nearest.
 @group(0) @binding(8) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(9) var<storage, read_write> order: array<u32>;
+
+// The key of culled splats.
+const LAST_KEY: u32 = (1u << DEPTH_BITS) - 1u;
+// Where the nearest depth is 0, this one's key is the first.
+const LEAST_DEPTH: f32 = 1e-6;
 
 @compute @workgroup_size(256)
 fn project(
@@ -38,7 +44,7 @@ fn project(
     let y = view.lens.y * p.cam.y / z + view.lens.w;
     seen[i] = vec4f(select(0.0, z, finite(z)), 0.0, x, y);
     counts[i] = 0u;
-    keys[i] = 0xffffffffu;
+    keys[i] = LAST_KEY;
     order[i] = i;
     if !p.good {
         return;
@@ -83,6 +89,7 @@ fn project(
     }
     if count > 0u {
         counts[i] = count;
-        keys[i] = bitcast<u32>(z);
+        let nearest = max(view.options.z, LEAST_DEPTH);
+        keys[i] = min(bitcast<u32>(max(z, nearest)) - bitcast<u32>(nearest), LAST_KEY - 1u);
     }
 }

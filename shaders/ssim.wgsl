@@ -1,5 +1,5 @@
-// SSIM of one channel and its derivatives by the render's mean, the sum of squares and the product (twin: `Across` in
-// objective/src/losses.rs). A group per tile.
+// SSIM of each channel and its derivatives by the render's mean, the sum of squares and the product (twin: `Across` in
+// objective/src/losses.rs). A group per channel and tile.
 #import common
 #import view
 #import loss_inputs
@@ -8,15 +8,15 @@
 
 alias Summed = f32;
 
-// x: tiles, y: the channel.
+// x: tiles, y: pixels.
 @group(0) @binding(0) var<uniform> job: vec4u;
 @group(0) @binding(1) var<uniform> view: View;
 @group(0) @binding(2) var<storage, read> shown: array<vec4f>;
 @group(0) @binding(3) var<storage, read> photo: array<u32>;
 @group(0) @binding(4) var<storage, read> weights: array<f32>;
-// Three per pixel.
-@group(0) @binding(5) var<storage, read_write> derivatives: array<vec4f>;
-// Sum of the scores per channel and tile.
+// Three planes per channel.
+@group(0) @binding(5) var<storage, read_write> derivatives: array<f32>;
+// Sum of the scores per channel and tile, and what `l1_ssim_backward` adds.
 @group(0) @binding(6) var<storage, read_write> parts: array<f32>;
 
 const C1: f32 = 0.0001;
@@ -37,13 +37,15 @@ fn ssim(
     @builtin(num_workgroups) groups: vec3u,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let tile = group_of(id, groups);
+    let group = group_of(id, groups);
+    let channel = group / job.x;
+    let tile = group % job.x;
     for (var k = local; k < WIDE * WIDE; k += 256u) {
         let position = position_of(tile, k, view.frame.z);
         var x = vec2f(0.0);
-        if inside(position, view.frame) && tile < job.x {
+        if inside(position, view.frame) && channel < 3u {
             let i = u32(position.y) * view.frame.x + u32(position.x);
-            x = weights[i] * vec2f(shown[i][job.y], colour_of(photo[i])[job.y]);
+            x = weights[i] * vec2f(shown[i][channel], colour_of(photo[i])[channel]);
         }
         pair[k] = x;
     }
@@ -72,15 +74,18 @@ fn ssim(
     let inverse = 1.0 / (b1 * b2);
     let similarity = a1 * a2 * inverse;
     let position = position_of(tile, (local / TILE + REACH) * WIDE + local % TILE + REACH, view.frame.z);
-    let there = inside(position, view.frame) && tile < job.x;
+    let there = inside(position, view.frame) && channel < 3u;
     if there {
         let by_mean = 2.0 * m.y * (a2 - a1) * inverse - 2.0 * m.x * similarity * (b2 - b1) * inverse;
         let by_squares = -similarity * b1 * inverse;
         let by_product = 2.0 * a1 * inverse;
-        derivatives[u32(position.y) * view.frame.x + u32(position.x)] = vec4f(by_mean, by_squares, by_product, 0.0);
+        let i = 3u * channel * job.y + u32(position.y) * view.frame.x + u32(position.x);
+        derivatives[i] = by_mean;
+        derivatives[i + job.y] = by_squares;
+        derivatives[i + 2u * job.y] = by_product;
     }
     let score = sum_of_group(local, select(0.0, similarity, there));
-    if local == 0u && tile < job.x {
-        parts[job.y * job.x + tile] = score;
+    if local == 0u && channel < 3u {
+        parts[2u * group] = score;
     }
 }

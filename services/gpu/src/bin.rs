@@ -2,7 +2,7 @@
 
 use crate::GpuError;
 use crate::device::{DeviceWork, PooledBuffer};
-use crate::groups::{GROUP, TILE};
+use crate::groups::{DEPTH_BITS, GROUP, TILE};
 use crate::shaders::{BUCKET_COUNT, BUCKETS, EMIT, PROJECT, RANGES, SORTED_TILE_COUNTS};
 use crate::sort::{scan, sort};
 use bytemuck::{Pod, Zeroable};
@@ -122,7 +122,7 @@ pub(crate) fn bin(
         &[&view, means, log_scales, rotations, &footprints, &seen, &counts, &keys, &order],
         n.div_ceil(GROUP),
     );
-    let (_, order) = sort(work, keys, order, n, u32::BITS)?;
+    let (_, order) = sort(work, keys, order, n, DEPTH_BITS)?;
     let starts = work.take::<u32>("the splats' first slots", n + 1)?;
     work.run(
         &SORTED_TILE_COUNTS,

@@ -23,6 +23,7 @@ use std::sync::{Arc, Mutex};
 const COUNTED: usize = BINS;
 /// Pixels that count, the weight left of them, their squared errors, unused.
 const WEIGHED: usize = COUNTED + 1;
+/// Scores of SSIM, and differences after them, as the kernels sum them.
 const SCORES: usize = WEIGHED + 4;
 const DIFFERENCES: usize = SCORES + 1;
 const MATRIX: usize = DIFFERENCES + 1;
@@ -261,19 +262,14 @@ pub(crate) fn compare(
     drop(counted);
 
     let by_shown = work.take::<f32>("the gradients of the shown colours", 3 * n)?;
-    let ssim_derivatives = work.take::<[f32; 4]>("derivatives of SSIM", n)?;
+    let ssim_derivatives = work.take::<[f32; 9]>("derivatives of SSIM", n)?;
     let tiles = width.div_ceil(TILE as usize) * height.div_ceil(TILE as usize);
-    let scores = work.take::<f32>("scores of SSIM", 3 * tiles)?;
-    let differences = work.take::<f32>("sums of differences", 3 * tiles)?;
-    for channel in 0..3 {
-        let job = [tiles as u32, channel, n as u32, 0];
-        work.run(&SSIM, 1, job, &[view, &shown, pixels, &weights, &ssim_derivatives, &scores], tiles);
-        let buffers =
-            [view, loss_uniform, &shown, pixels, &weights, &ssim_derivatives, &by_shown, &differences];
-        work.run(&L1_SSIM_BACKWARD, 1, job, &buffers, tiles);
-    }
-    sum_groups(work, &scores, 3 * tiles, 1, results, SCORES);
-    sum_groups(work, &differences, 3 * tiles, 1, results, DIFFERENCES);
+    let losses = work.take::<[f32; 2]>("scores of SSIM, and differences", 3 * tiles)?;
+    let job = [tiles as u32, n as u32, 0, 0];
+    work.run(&SSIM, 1, job, &[view, &shown, pixels, &weights, &ssim_derivatives, &losses], 3 * tiles);
+    let buffers = [view, loss_uniform, &shown, pixels, &weights, &ssim_derivatives, &by_shown, &losses];
+    work.run(&L1_SSIM_BACKWARD, 1, job, &buffers, 3 * tiles);
+    sum_groups(work, &losses, 3 * tiles, 2, results, SCORES);
 
     let grads = work.take::<[f32; 4]>("the image's gradients", n)?;
     let parts = work.take::<[f32; 12]>("sums for the matrix", groups)?;

@@ -9,6 +9,7 @@ use crate::adapter::{Adapter, AdapterChoice, open};
 use crate::clock::KernelClock;
 use crate::groups::rows_of;
 use crate::shaders::{Kernel, source};
+use crate::work_counts::WorkCounts;
 use bytemuck::Pod;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -62,8 +63,7 @@ pub(crate) struct GpuDevice {
     /// Bytes of all buffers there are, and how many there may be; 0 sets no limit.
     allocated: AtomicU64,
     budget: AtomicU64,
-    /// Bytes that were uploaded since it was opened.
-    uploaded_bytes: AtomicU64,
+    counts: Mutex<WorkCounts>,
     arena: wgpu::Buffer,
     /// The first failure.
     failed: Arc<Mutex<Option<String>>>,
@@ -101,7 +101,7 @@ impl GpuDevice {
             staging: Free::default(),
             allocated: AtomicU64::new(0),
             budget: AtomicU64::new(0),
-            uploaded_bytes: AtomicU64::new(0),
+            counts: Mutex::default(),
             arena,
             failed,
             turn: Mutex::new(()),
@@ -114,7 +114,7 @@ impl GpuDevice {
     pub fn work(&self) -> DeviceWork<'_> {
         let turn = lock(&self.turn);
         let encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        DeviceWork { device: self, encoder, jobs: Vec::new(), dirty: false, _turn: turn }
+        DeviceWork { device: self, pass: None, encoder, jobs: Vec::new(), dirty: false, _turn: turn }
     }
 
     /// Times every kernel from now on, if the device has a clock of its own.
@@ -181,9 +181,13 @@ impl GpuDevice {
         self.allocated.load(Ordering::Relaxed)
     }
 
-    /// Bytes that were uploaded since it was opened.
-    pub fn uploaded_bytes(&self) -> u64 {
-        self.uploaded_bytes.load(Ordering::Relaxed)
+    /// What it was given to do since it was opened.
+    pub fn work_counts(&self) -> WorkCounts {
+        *lock(&self.counts)
+    }
+
+    fn count(&self, add: impl FnOnce(&mut WorkCounts)) {
+        add(&mut lock(&self.counts));
     }
 
     /// How many there may be; 0 sets no limit.
@@ -254,6 +258,8 @@ impl GpuDevice {
 /// Exclusive access of one caller to the device.
 pub(crate) struct DeviceWork<'d> {
     device: &'d GpuDevice,
+    /// Kernels in a row share a pass; it ends before the encoder records anything else.
+    pass: Option<wgpu::ComputePass<'static>>,
     encoder: wgpu::CommandEncoder,
     jobs: Vec<[u32; 4]>,
     dirty: bool,
@@ -289,7 +295,10 @@ impl DeviceWork<'_> {
         self.hand_in();
         let pooled = self.take::<T>(what, items.len())?;
         if !items.is_empty() {
-            self.device.uploaded_bytes.fetch_add(size_of_val(items) as u64, Ordering::Relaxed);
+            self.device.count(|counts| {
+                counts.uploads += 1;
+                counts.uploaded_bytes += size_of_val(items) as u64;
+            });
             self.device.queue.write_buffer(pooled.raw(), 0, bytemuck::cast_slice(items));
         }
         Ok(pooled)
@@ -297,14 +306,19 @@ impl DeviceWork<'_> {
 
     /// Sets a buffer to 0.
     pub fn clear(&mut self, pooled: &PooledBuffer) {
-        self.dirty = true;
-        self.encoder.clear_buffer(pooled.raw(), 0, Some(pooled.bytes));
+        self.commands().clear_buffer(pooled.raw(), 0, Some(pooled.bytes));
     }
 
     /// Copies the first bytes of one buffer to another, from its byte `at` on.
     pub fn copy_to(&mut self, from: &PooledBuffer, to: &PooledBuffer, at: usize, bytes: usize) {
-        self.dirty = true;
-        self.encoder.copy_buffer_to_buffer(from.raw(), 0, to.raw(), at as u64, bytes as u64);
+        self.commands().copy_buffer_to_buffer(from.raw(), 0, to.raw(), at as u64, bytes as u64);
+    }
+
+    /// The encoder, for a command that is no kernel.
+    fn commands(&mut self) -> &mut wgpu::CommandEncoder {
+        (self.pass, self.dirty) = (None, true);
+        self.device.count(|counts| counts.copies += 1);
+        &mut self.encoder
     }
 
     /// Runs a kernel in so many groups. Binding 0 is its job, the buffers follow.
@@ -344,10 +358,23 @@ impl DeviceWork<'_> {
         });
         self.jobs.push(job);
         self.dirty = true;
+        self.device.count(|counts| {
+            counts.launches += 1;
+            counts.bound_bytes += buffers.iter().map(|pooled| pooled.bytes).sum::<u64>();
+        });
         let mut clock = lock(&self.device.clock);
-        let mut pass = self.encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-            label: Some(kernel.name),
-            timestamp_writes: clock.as_mut().map(|clock| clock.moments_of(kernel.name)),
+        // It times passes.
+        if clock.is_some() {
+            self.pass = None;
+        }
+        let (device, encoder) = (self.device, &mut self.encoder);
+        let pass = self.pass.get_or_insert_with(|| {
+            device.count(|counts| counts.passes += 1);
+            let described = wgpu::ComputePassDescriptor {
+                label: None,
+                timestamp_writes: clock.as_mut().map(|clock| clock.moments_of(kernel.name)),
+            };
+            encoder.begin_compute_pass(&described).forget_lifetime()
         });
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, &group, &[]);
@@ -367,6 +394,8 @@ impl DeviceWork<'_> {
         if !bytes.is_empty() {
             self.device.queue.write_buffer(&self.device.arena, 0, &bytes);
         }
+        self.pass = None;
+        self.device.count(|counts| counts.submissions += 1);
         let next = self.device.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let mut encoder = std::mem::replace(&mut self.encoder, next);
         let mut clock = lock(&self.device.clock);
@@ -384,6 +413,7 @@ impl DeviceWork<'_> {
     /// Submits, and waits until all is done.
     pub fn wait(&mut self) -> Result<(), GpuError> {
         self.hand_in();
+        self.device.count(|counts| counts.waits += 1);
         let polled = self.device.device.poll(wgpu::PollType::wait_indefinitely());
         self.device.check()?;
         polled.map(drop).map_err(|error| self.device.failure(error.to_string()))
@@ -410,8 +440,8 @@ impl DeviceWork<'_> {
         debug_assert!(start + bytes <= from.bytes);
         let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
         let staging = self.device.pick(&self.device.staging, "read back", bytes, usage)?;
-        self.dirty = true;
-        self.encoder.copy_buffer_to_buffer(from.raw(), start, staging.raw(), 0, bytes);
+        self.device.count(|counts| counts.downloaded_bytes += bytes);
+        self.commands().copy_buffer_to_buffer(from.raw(), start, staging.raw(), 0, bytes);
         self.hand_in();
         let slice = staging.raw().slice(..bytes);
         slice.map_async(wgpu::MapMode::Read, |_| {});

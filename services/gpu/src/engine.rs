@@ -11,6 +11,7 @@ use crate::memory::field_fits;
 use crate::parameters::GpuTraining;
 use crate::shaders::Kernel;
 use crate::view::GpuProjected;
+use crate::work_counts::WorkCounts;
 use segwild_objective::field::{DeviceLifting, DeviceRefinement, FeatureTarget, FieldRefinement, Queries};
 use segwild_objective::{DeviceTraining, TrainingSplats};
 use segwild_objective::{FieldBackend, TrainingBackend};
@@ -64,10 +65,9 @@ impl GpuEngine {
         self.device.allocated_bytes()
     }
 
-    /// Bytes uploaded since it was opened, for tests.
-    #[doc(hidden)]
-    pub fn uploaded_bytes(&self) -> u64 {
-        self.device.uploaded_bytes()
+    /// What the accelerator was given to do since it was opened.
+    pub fn work_counts(&self) -> WorkCounts {
+        self.device.work_counts()
     }
 
     /// The accelerator in use.

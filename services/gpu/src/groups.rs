@@ -1,4 +1,4 @@
-//! Sizes of thread groups and of tiles, and how groups are laid out.
+//! Sizes of thread groups, of tiles and of sort keys, and how groups are laid out.
 
 /// Threads of a group that does one item per thread.
 pub(crate) const GROUP: usize = 256;
@@ -6,6 +6,9 @@ pub(crate) const GROUP: usize = 256;
 pub(crate) const TILE: u32 = 16;
 /// Groups per dimension that every device offers.
 const MOST_PER_ROW: usize = 65_535;
+/// Bits of a splat's sort key: its depth as a number of type `f32`, counted from the nearest depth, up to 2^32 times that; seven
+/// digits of the sort.
+pub(crate) const DEPTH_BITS: u32 = 28;
 
 /// Groups per row and rows that hold at least so many groups, at least one. A kernel counts along the rows (`group_of` of
 /// `shaders/shared/common.wgsl`) and leaves out what is too many in the last.

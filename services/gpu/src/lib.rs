@@ -66,12 +66,14 @@ mod sort;
 mod test_adapter;
 mod training;
 mod view;
+mod work_counts;
 
 pub use adapter::{Adapter, AdapterChoice, NO_DRIVER, adapters};
 pub use engine::GpuEngine;
 pub use memory::LEAST_PHOTOS;
 pub use need::training_bytes;
 pub use shaders::{KERNELS, Kernel, source};
+pub use work_counts::WorkCounts;
 
 /// Why the accelerator engine refused, or stopped.
 #[derive(Debug, Clone, thiserror::Error)]

@@ -18,7 +18,7 @@ const COPIES: f64 = 4.0;
 /// Bytes per splat beside these: footprint, depth and centre, sort keys and order, colours, sums.
 const PER_SPLAT: f64 = 170.0;
 /// Bytes per pixel: image, shown colours, residuals, weights, SSIM, gradients, errors.
-const PER_PIXEL: f64 = 124.0;
+const PER_PIXEL: f64 = 144.0;
 /// Buffers are a quarter longer than what is in them.
 const AMPLE: f64 = 1.25;
 /// Estimated bytes of an accelerator's memory to train so many splats on photos of so many pixels, without the photos

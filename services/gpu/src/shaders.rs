@@ -1,5 +1,6 @@
 //! The kernels' sources: files of `shaders/`, embedded in the program, with their imports resolved.
 
+use crate::groups::DEPTH_BITS;
 use crate::layer_flags::CONSTANTS;
 use segwild_objective::compare::{self, PhotoTarget};
 use segwild_objective::{background, field, gsw, transients};
@@ -138,7 +139,8 @@ const LIGHT: [(&str, u32); 6] = [
     ("VECTOR", gsw::VECTOR as u32),
     ("EMBEDDING_SIZE", gsw::EMBEDDING_SIZE as u32),
 ];
-const COUNTED: [(&str, u32); 6] = [
+const COUNTED: [(&str, u32); 7] = [
+    ("DEPTH_BITS", DEPTH_BITS),
     ("BINS", transients::BINS as u32),
     ("STRIDE", background::STRIDE as u32),
     ("COUNTS", PhotoTarget::COUNTS as u32),

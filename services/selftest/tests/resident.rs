@@ -56,19 +56,19 @@ fn resident_channels_are_uploaded_once_for_all_views() {
         let values = values(count);
         let (once, mut channels) =
             (ResidentChannels::new(count, &values), ResidentChannels::new(count, &values));
-        let before = gpu.uploaded_bytes();
+        let before = gpu.work_counts().uploaded_bytes;
         channels.upload(&*resident).expect("it is uploaded");
-        let crossed = gpu.uploaded_bytes() - before;
+        let crossed = gpu.work_counts().uploaded_bytes - before;
         let least = (4 * values.len()) as u64;
         assert!(crossed >= least && crossed <= 4 * least, "{count} channels: {crossed} bytes to upload them");
-        let before = gpu.uploaded_bytes();
+        let before = gpu.work_counts().uploaded_bytes;
         let frames = draw(&*resident, &scene, &channels);
-        let crossed = gpu.uploaded_bytes() - before;
+        let crossed = gpu.work_counts().uploaded_bytes - before;
         // Cameras.
         assert!(crossed < 1000, "{count} channels: {crossed} bytes for views of what is there");
-        let before = gpu.uploaded_bytes();
+        let before = gpu.work_counts().uploaded_bytes;
         assert!(frames == draw(&*resident, &scene, &once), "{count} channels");
-        let crossed = gpu.uploaded_bytes() - before;
+        let crossed = gpu.work_counts().uploaded_bytes - before;
         assert!(crossed >= 3 * least, "{count} channels: {crossed} bytes where each view uploads all");
     }
 }
@@ -79,9 +79,9 @@ fn alpha_alone_needs_no_channels() {
     let Some(gpu) = &alone else { return };
     let scene = scene();
     let resident = gpu.upload_splats(&scene).expect("it is uploaded").expect("it fits");
-    let before = gpu.uploaded_bytes();
+    let before = gpu.work_counts().uploaded_bytes;
     let nothing = draw(&*resident, &scene, &ResidentChannels::new(0, &[][..]));
-    let crossed = gpu.uploaded_bytes() - before;
+    let crossed = gpu.work_counts().uploaded_bytes - before;
     assert!(crossed < 1000, "{crossed} bytes");
     let cpu = CpuEngine::new();
     for engine in [&*resident, &cpu as &dyn Rasterizer] {
@@ -184,9 +184,9 @@ fn a_step_of_the_feature_field_uploads_the_sampled_pixels_and_nothing_of_splats_
             feature_target.on_device = on_device.as_deref();
             let pixels: Vec<u32> = (0..width * height).step_by(3).collect();
             let sampled = SampledPixels { pixels: &pixels, membership: &membership };
-            let before = gpu.uploaded_bytes();
+            let before = gpu.work_counts().uploaded_bytes;
             field.step(&*projected, &feature_target, &sampled).expect("it is learnt");
-            crossed += gpu.uploaded_bytes() - before;
+            crossed += gpu.work_counts().uploaded_bytes - before;
         }
         (crossed, field.losses().expect("they are downloaded"))
     };
@@ -221,12 +221,12 @@ fn sums_over_views_stay_where_they_are() {
     let resident = gpu.upload_splats(&scene).expect("it is uploaded").expect("it fits");
     let mut sums = Lifting::new(SPLATS, count);
     sums.allocate_on_device(gpu).expect("there is memory");
-    let before = gpu.uploaded_bytes();
+    let before = gpu.work_counts().uploaded_bytes;
     let (camera, pose) = view(64, 48);
     let projected = resident.project(&scene, &camera, &pose, &ProjectOptions::default()).expect("it is seen");
     sums.add(&*projected, &image(90, 64, 48, count + 1)).expect("it is added");
     // Eight numbers at once, filled up.
-    let (crossed, images) = (gpu.uploaded_bytes() - before, 4 * (count + 8) * 64 * 48);
+    let (crossed, images) = (gpu.work_counts().uploaded_bytes - before, 4 * (count + 8) * 64 * 48);
     assert!(crossed < images as u64 + 1000, "{crossed} bytes where an image is {images}");
     let (sums, weights) = sums.finish().expect("they come back");
     assert!(sums.len() == SPLATS * count && weights.iter().any(|&weight| weight > 0.0));
@@ -272,6 +272,31 @@ fn a_field_that_leaves_too_little_memory_for_its_steps_is_refined_on_the_host() 
 }
 
 #[test]
+fn a_step_launches_what_it_needs_in_one_submission_for_the_splats_and_one_for_the_losses() {
+    let test = "a_step_launches_what_it_needs_in_one_submission_for_the_splats_and_one_for_the_losses";
+    let alone = engine_alone(test);
+    let Some(gpu) = &alone else { return };
+    let gpu = reopened(gpu);
+    let (camera, pose) = view(96, 64);
+    let state = training_splats(scene());
+    let mut on_device = gpu.upload_training(&mut || state.clone()).expect("it is uploaded").expect("it fits");
+    let mut learn = || {
+        let before = gpu.work_counts();
+        step_with(&mut *on_device, (&camera, &pose), None, None, &rules(0.001), 92, 0.1)
+            .expect("it is learnt");
+        gpu.work_counts() - before
+    };
+    // The first step on a photo uploads it and waits for the number of its pairs.
+    learn();
+    let counts = learn();
+    println!("{counts:?}");
+    // Three for each of the seven digits of a depth and the two of a tile, and 38 others.
+    assert!(counts.launches <= 65, "{counts:?}");
+    assert!(counts.passes <= 7, "those in a row share a pass: {counts:?}");
+    assert_eq!((counts.submissions, counts.waits), (2, 1), "{counts:?}");
+}
+
+#[test]
 fn a_step_of_networks_uploads_its_photo_and_nothing_of_the_splats() {
     let alone = engine_alone("a_step_of_networks_uploads_its_photo_and_nothing_of_the_splats");
     let Some(gpu) = &alone else { return };
@@ -301,11 +326,11 @@ fn a_step_of_networks_uploads_its_photo_and_nothing_of_the_splats() {
             decides: true,
             rules: [rule.splat_embeddings; 2],
         };
-        let before = gpu.uploaded_bytes();
+        let before = gpu.work_counts().uploaded_bytes;
         let results =
             step_with(&mut *on_device, (&view.0, &view.1), Some(&light), Some(step), &rule, key, 0.1);
         results.expect("it is learnt");
-        (gpu.uploaded_bytes() - before, photo as u64)
+        (gpu.work_counts().uploaded_bytes - before, photo as u64)
     };
     // The first step on a photo uploads it.
     learn(91);

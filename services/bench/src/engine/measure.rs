@@ -3,13 +3,13 @@
 use super::goal::{Goal, train};
 use super::record::{KERNEL, record};
 use super::speed::{CLICKS, FIELD_WEIGHTS, LOSSES, NETWORKS, SIMILARITY, reach, some_feature_case, speed};
-use super::timing::Reach;
+use super::timing::{PassTime, Reach};
 use crate::page::PageError;
 use crate::scale::kernels::filling;
 use glam::Vec3;
 use rayon::prelude::*;
 use segwild_eval::record::{Provenance, Record, Results};
-use segwild_gpu::{AdapterChoice, GpuEngine};
+use segwild_gpu::{AdapterChoice, GpuEngine, WorkCounts};
 use segwild_objective::field::{Queries, score};
 use segwild_objective::{Appearance, VisibleSplats};
 use segwild_raster::{Channels, CpuEngine, FrameGrad, ProjectOptions, RasterError, Rasterizer};
@@ -118,10 +118,29 @@ fn measure(
                 numbers.insert("cpu_ms".into(), *cpu);
                 numbers.insert("ratio".into(), cpu / row.ms);
             }
+            numbers.extend(counted(&row));
             numbers.extend(row.kernels.iter().map(|(kernel, ms)| (format!("{KERNEL}{kernel}"), *ms)));
             (row.pass, numbers)
         })
         .collect())
+}
+
+/// What a pass gives the device to do.
+fn counted(row: &PassTime) -> [(String, f64); 8] {
+    let WorkCounts { launches, passes, copies, submissions, waits, .. } = row.counts;
+    let WorkCounts { uploaded_bytes, downloaded_bytes, bound_bytes, .. } = row.counts;
+    let host_bytes = uploaded_bytes + downloaded_bytes;
+    [
+        ("launches", launches as f64),
+        ("passes", passes as f64),
+        ("copies", copies as f64),
+        ("submissions", submissions as f64),
+        ("waits", waits as f64),
+        ("host_bytes", host_bytes as f64),
+        ("bound_bytes", bound_bytes as f64),
+        ("floor_bytes", row.floor_bytes),
+    ]
+    .map(|(name, number)| (name.to_owned(), number))
 }
 
 /// Milliseconds of the same passes by the CPU engine, the best of three.

@@ -78,8 +78,37 @@ pub fn markdown(results: &Results) -> String {
             let (steps, millions) = (1e3 / ms, 1e-3 * splats / ms);
             let _ = writeln!(text, "{steps:.1} steps a second: {millions:.3} million splats a second.");
         }
+        counted(&mut text, &rows);
     }
     text
+}
+
+/// What each pass gives the device to do.
+fn counted(text: &mut String, rows: &[&Record]) {
+    if rows.iter().all(|row| !row.numbers.contains_key("launches")) {
+        return;
+    }
+    text.push_str(
+        "\nCounted, the same on every device: kernels launched (each waits for the one before, by a barrier), compute passes that hold \
+         them, copies and clears, submissions, waits of the host, what crosses between host and device, and the arrays of all \
+         launches, beside the pass's arrays counted once.\n\n\
+         | pass | launches | compute passes | copies | submissions | waits | host, KB | arrays of launches, MB | once, MB |\n\
+         |---|---:|---:|---:|---:|---:|---:|---:|---:|\n",
+    );
+    for row in rows {
+        let number = |name: &str| row.numbers.get(name).copied().unwrap_or(0.0);
+        let counts = ["launches", "passes", "copies", "submissions", "waits"]
+            .map(|name| format!("{:.0}", number(name)));
+        let _ = writeln!(
+            text,
+            "| {} | {} | {:.1} | {:.2} | {:.2} |",
+            row.setting,
+            counts.join(" | "),
+            number("host_bytes") / 1e3,
+            number("bound_bytes") / 1e6,
+            number("floor_bytes") / 1e6
+        );
+    }
 }
 
 /// A pass's slowest kernels.

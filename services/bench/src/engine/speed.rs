@@ -4,7 +4,7 @@
 //! its operations at the rate of a kernel that does nothing else. Operations are those of every pair of a splat and a tile
 //! at every pixel of the tile, as if no light ran out.
 
-use super::timing::{CLOCKED, LEAST, PassTime, Reach, repeated, slowest, timed};
+use super::timing::{CLOCKED, Floor, LEAST, PassTime, Reach, repeated, slowest, timed};
 use segwild_gpu::probe::{
     AdamPasses, FieldPasses, LightingPasses, LossPasses, RatePasses, SimilarityPasses, UploadedNetworks,
     ViewPasses, networks_floor, start_clock, stop_clock, wait,
@@ -52,8 +52,14 @@ pub fn speed(
     rows.push(losses(engine, reach, some_feature_case(camera, channels))?);
     rows.push(similarity(engine, reach, splats.len(), channels)?);
     rows.extend(training(engine, reach, splats, camera, pose)?);
+    let of_step = |row: &&PassTime| OF_STEP.contains(&row.pass);
+    let floor_bytes = rows.iter().filter(of_step).map(|row| row.floor_bytes).sum();
+    rows.iter_mut().filter(|row| row.pass == STEP).for_each(|row| row.floor_bytes = floor_bytes);
     Ok(rows)
 }
+
+/// Passes that a step without an appearance model consists of.
+const OF_STEP: [&str; 6] = ["project, sort, bin", "shade", "blend", "backward", "adam", "compare"];
 
 /// Times the passes over a view.
 fn view(
@@ -97,7 +103,7 @@ fn view(
         ),
     ];
     let one = |(name, pass, bytes, operations)| -> Result<PassTime, GpuError> {
-        Ok(timed(engine, &mut passes, pass)?.row(name, reach.floor_ms(bytes, operations)))
+        Ok(timed(engine, &mut passes, pass)?.row(name, reach, Floor { bytes, operations }))
     };
     all.into_iter().map(one).collect()
 }
@@ -129,7 +135,7 @@ fn networks(
         passes.backward()
     })?;
     let (bytes, operations) = networks_floor(GswWidth::Cpu, n);
-    Ok(spent.row(NETWORKS, reach.floor_ms(bytes, operations)))
+    Ok(spent.row(NETWORKS, reach, Floor { bytes, operations }))
 }
 
 /// Name of the pass of the feature field's losses, with a learned decoder, and their gradients of the image.
@@ -167,7 +173,7 @@ fn losses(engine: &GpuEngine, reach: Reach, case: FeatureCase) -> Result<PassTim
     let bytes = 4.0 * (2.0 * c * pixels as f64 + outputs * (cells + 6.0 * c) + 2.0 * c * sampled_pixels);
     let operations = 2.0
         * (3.0 * c * outputs * cells + 2.0 * c * sampled_pixels * sampled_pixels + 2.0 * c * pixels as f64);
-    Ok(spent.row(LOSSES, reach.floor_ms(bytes, operations)))
+    Ok(spent.row(LOSSES, reach, Floor { bytes, operations }))
 }
 
 /// The pass that compares every splat's features with those of clicks.
@@ -186,12 +192,12 @@ fn similarity(
     let queries = Queries { channels, units: &units, sharpness: 10.0 };
     let features = Channels { count: channels, values: &values };
     let Some(mut passes) = SimilarityPasses::upload(engine, &features)? else {
-        return Ok(PassTime { pass: SIMILARITY, ms: 0.0, floor_ms: 0.0, kernels: Vec::new() });
+        return Ok(PassTime { pass: SIMILARITY, ..PassTime::default() });
     };
     let spent = timed(engine, &mut passes, |passes| passes.compare(&queries))?;
     let (n, c) = (splats as f64, channels as f64);
-    let floor_ms = reach.floor_ms(4.0 * n * (c + 1.0), 2.0 * n * c * (CLICKS + 1) as f64);
-    Ok(spent.row(SIMILARITY, floor_ms))
+    let floor = Floor { bytes: 4.0 * n * (c + 1.0), operations: 2.0 * n * c * (CLICKS + 1) as f64 };
+    Ok(spent.row(SIMILARITY, reach, floor))
 }
 
 /// The pass that is a whole step of training.
@@ -241,7 +247,8 @@ fn training(
     let rules = OptimiserRules::all(rule);
     let numbers = (n * (12 + splats.sh_stride())) as f64;
     let spent = timed(engine, &mut AdamPasses::upload(engine, &state, &rules)?, AdamPasses::step)?;
-    let mut rows = vec![spent.row("adam", reach.floor_ms(numbers * 28.0, numbers * 12.0))];
+    let floor = Floor { bytes: numbers * 28.0, operations: numbers * 12.0 };
+    let mut rows = vec![spent.row("adam", reach, floor)];
     let (width, height) = (camera.width as usize, camera.height as usize);
     let target = some_photo(width, height);
     let loss_inputs = LossInputs {
@@ -263,7 +270,7 @@ fn training(
     // 12 for its backward pass. A window of eleven by eleven is eleven numbers twice, for four maps forward and three
     // backward.
     let (bytes, operations) = (pixels * 4.0 * 104.0, pixels * 3.0 * 11.0 * 2.0 * 7.0 * 2.0);
-    rows.push(spent.row("compare", reach.floor_ms(bytes, operations)));
+    rows.push(spent.row("compare", reach, Floor { bytes, operations }));
     let Some(mut on_device) = engine.upload_training(&mut || state.clone())? else {
         return Err(RasterError::Shape("the splats do not fit where they are trained".into()));
     };
@@ -288,12 +295,15 @@ fn training(
     }
     wait(engine)?;
     let ms = started.elapsed().as_secs_f64() * 1e3 / steps;
+    let before = engine.work_counts();
+    on_device.step(&step)?;
+    let counts = engine.work_counts() - before;
     start_clock(engine);
     for _ in 0..CLOCKED {
         on_device.step(&step)?;
     }
     wait(engine)?;
     let kernels = slowest(stop_clock(engine), CLOCKED);
-    rows.push(PassTime { pass: STEP, ms, floor_ms: 0.0, kernels });
+    rows.push(PassTime { pass: STEP, ms, counts, kernels, ..PassTime::default() });
     Ok(rows)
 }

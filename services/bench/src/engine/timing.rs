@@ -1,7 +1,7 @@
 //! How long passes take that are submitted repeatedly.
 
 use segwild_gpu::probe::{DevicePasses, start_clock, stop_clock};
-use segwild_gpu::{GpuEngine, GpuError};
+use segwild_gpu::{GpuEngine, GpuError, WorkCounts};
 use std::collections::BTreeMap;
 use std::time::Instant;
 
@@ -19,13 +19,22 @@ pub struct Reach {
 
 impl Reach {
     /// Least milliseconds for so many bytes and operations.
-    pub(super) fn floor_ms(&self, bytes: f64, operations: f64) -> f64 {
-        1e3 * (bytes / self.bytes).max(operations / self.operations)
+    fn floor_ms(&self, floor: Floor) -> f64 {
+        1e3 * (floor.bytes / self.bytes).max(floor.operations / self.operations)
     }
 }
 
+/// The least that a pass moves and computes.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Floor {
+    /// Bytes of its arrays, each read or written once.
+    pub bytes: f64,
+    /// Operations on numbers.
+    pub operations: f64,
+}
+
 /// One pass over one view.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct PassTime {
     /// Its name: that of a kernel of `shaders/`, or of what several do together.
     pub pass: &'static str,
@@ -33,6 +42,10 @@ pub struct PassTime {
     pub ms: f64,
     /// The floor of this time; 0 where it is not one pass of the device.
     pub floor_ms: f64,
+    /// The floor of the bytes that it moves.
+    pub floor_bytes: f64,
+    /// What the device was given to do for it.
+    pub counts: WorkCounts,
     /// Milliseconds of its kernels by the device's own clock, the slowest first; none where it has no clock. The rest
     /// of [`PassTime::ms`] is submission and waiting.
     pub kernels: Vec<(&'static str, f64)>,
@@ -41,13 +54,21 @@ pub struct PassTime {
 /// Mean milliseconds of work, and of each of its kernels.
 pub(super) struct Spent {
     ms: f64,
+    counts: WorkCounts,
     kernels: Vec<(&'static str, f64)>,
 }
 
 impl Spent {
     /// The row of a pass with this floor.
-    pub fn row(self, pass: &'static str, floor_ms: f64) -> PassTime {
-        PassTime { pass, ms: self.ms, floor_ms, kernels: self.kernels }
+    pub fn row(self, pass: &'static str, reach: Reach, floor: Floor) -> PassTime {
+        PassTime {
+            pass,
+            ms: self.ms,
+            floor_ms: reach.floor_ms(floor),
+            floor_bytes: floor.bytes,
+            counts: self.counts,
+            kernels: self.kernels,
+        }
     }
 }
 
@@ -69,12 +90,16 @@ pub(super) fn timed<P: DevicePasses>(
     mut pass: impl FnMut(&mut P) -> Result<(), GpuError>,
 ) -> Result<Spent, GpuError> {
     let ms = repeated(passes, &mut pass)?;
+    let before = engine.work_counts();
+    pass(passes)?;
+    passes.wait()?;
+    let counts = engine.work_counts() - before;
     start_clock(engine);
     for _ in 0..CLOCKED {
         pass(passes)?;
     }
     passes.wait()?;
-    Ok(Spent { ms, kernels: slowest(stop_clock(engine), CLOCKED) })
+    Ok(Spent { ms, counts, kernels: slowest(stop_clock(engine), CLOCKED) })
 }
 
 /// Mean milliseconds of a pass that is submitted repeatedly and waited for once.

@@ -79,7 +79,7 @@ mod tests {
         let source =
             ObjectMasks::new(&engine, &splats, &labels, ProjectOptions::default(), MaskMode::Visible)
                 .expect("it is uploaded");
-        let before = engine.uploaded_bytes();
+        let before = engine.work_counts().uploaded_bytes;
         for photo in 0..3 {
             let camera = Camera { width: 60, height: 40, fx: 80.0, fy: 80.0, cx: 30.0, cy: 20.0 };
             let eye = Vec3::new(0.1 * photo as f32, 0.0, 0.0);
@@ -88,7 +88,7 @@ mod tests {
             let mask = source.mask(&share, &camera);
             assert!(mask.get(10, 20) && !mask.get(55, 20), "the left half");
         }
-        let crossed = engine.uploaded_bytes() - before;
+        let crossed = engine.work_counts().uploaded_bytes - before;
         assert!(crossed < 1000, "{crossed} bytes for three photos of {n} splats");
     }
 }
