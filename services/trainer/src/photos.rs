@@ -7,7 +7,8 @@ use segwild_scene::{
     Camera, Image, LoadedPhoto, Mask, ReaderError, TASK_PIXELS, in_pieces, per_piece, per_pixel,
 };
 use std::collections::BTreeMap;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
+use std::thread::JoinHandle;
 
 /// A photo with what is known of its pixels.
 #[derive(Clone, Debug)]
@@ -341,57 +342,8 @@ pub(crate) struct TrainPhotoCache {
     clock: u64,
     bytes: usize,
     limit: usize,
-    /// The photo that is read while the step before works.
-    ahead: Option<(usize, Arc<Ahead>)>,
-}
-
-/// A photo that is read by another core while this one works.
-struct Ahead {
-    state: Mutex<AheadState>,
-    changed: Condvar,
-}
-
-enum AheadState {
-    /// No core had time for it yet.
-    Ordered,
-    Reading,
-    Read(Result<Stored, TrainError>),
-    /// It is not to be had from here: somebody else reads it, or the reader panicked.
-    Left,
-}
-
-impl Ahead {
-    fn state(&self) -> MutexGuard<'_, AheadState> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Reads the photo, unless it is not wanted any more.
-    fn read(&self, read: impl FnOnce() -> Result<Stored, TrainError>) {
-        {
-            let mut state = self.state();
-            if !matches!(*state, AheadState::Ordered) {
-                return;
-            }
-            *state = AheadState::Reading;
-        }
-        // Who wants the photo then reads it, and panics where panics are dealt with.
-        let read = std::panic::catch_unwind(std::panic::AssertUnwindSafe(read));
-        *self.state() = read.map_or(AheadState::Left, AheadState::Read);
-        self.changed.notify_all();
-    }
-
-    /// The photo; `None` where it was not read.
-    fn take(&self) -> Option<Result<Stored, TrainError>> {
-        let mut state = self.state();
-        // Another thread reads it. It does not wait for this one.
-        while matches!(*state, AheadState::Reading) {
-            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
-        }
-        match std::mem::replace(&mut *state, AheadState::Left) {
-            AheadState::Read(stored) => Some(stored),
-            AheadState::Ordered | AheadState::Reading | AheadState::Left => None,
-        }
-    }
+    /// The view whose photo another thread reads while the step before works.
+    ahead: Option<(usize, JoinHandle<Result<Stored, TrainError>>)>,
 }
 
 /// Reads and packs a photo.
@@ -406,16 +358,18 @@ impl TrainPhotoCache {
         TrainPhotoCache { source, names, held: BTreeMap::new(), clock: 0, bytes: 0, limit, ahead: None }
     }
 
-    /// Has an idle core read a photo that [`TrainPhotoCache::get`] will return next, if its result does not wait for a stage.
+    /// Has another thread read a photo that [`TrainPhotoCache::get`] will return next, if it does not wait for a stage.
     pub fn read_ahead(&mut self, view: usize) {
         let ordered = self.ahead.as_ref().is_some_and(|(ahead, _)| *ahead == view);
         if ordered || self.held.contains_key(&view) || !self.source.is_ready(view) {
             return;
         }
-        let ahead = Arc::new(Ahead { state: Mutex::new(AheadState::Ordered), changed: Condvar::new() });
-        self.ahead = Some((view, ahead.clone()));
         let (source, name) = (self.source.clone(), self.names[view].clone());
-        rayon::spawn(move || ahead.read(|| read(&*source, view, &name)));
+        // No thread of the pool: one that waits there for a photo that another decodes may be the one that the other waits for.
+        let thread = std::thread::Builder::new().name("read ahead".into());
+        let thread = thread.spawn(move || read(&*source, view, &name));
+        // Without a thread it is read when it is wanted.
+        self.ahead = thread.ok().map(|thread| (view, thread));
     }
 
     /// Takes the cache with all it holds; an empty one is left.
@@ -459,7 +413,9 @@ impl TrainPhotoCache {
             *used = self.clock;
             return Ok(stored.clone());
         }
-        let ahead = self.ahead.take_if(|(ahead, _)| *ahead == view).and_then(|(_, ahead)| ahead.take());
+        // After a panic it is read here, and panics where panics are dealt with.
+        let ahead =
+            self.ahead.take_if(|(ahead, _)| *ahead == view).and_then(|(_, thread)| thread.join().ok());
         let stored = ahead.unwrap_or_else(|| read(&*self.source, view, &self.names[view]));
         let stored = Arc::new(stored?);
         self.bytes += stored.bytes();
@@ -472,6 +428,7 @@ impl TrainPhotoCache {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::Mutex;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     fn photo(v: f32) -> TrainPhoto {
@@ -521,13 +478,9 @@ mod tests {
         let names: Vec<String> = (0..4).map(|i| i.to_string()).collect();
         let mut cache = TrainPhotoCache::new(source.clone(), names.clone(), usize::MAX);
         let reads = |view: usize| source.reads[view].load(Ordering::SeqCst);
-        // As in a step: the trainer's own thread waits while the pool reads, or is faster and reads itself.
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
         let mut ahead = |view: usize| {
-            pool.install(|| {
-                cache.read_ahead(view);
-                cache.get(view)
-            })
+            cache.read_ahead(view);
+            cache.get(view)
         };
         assert_eq!(*ahead(1).unwrap(), Stored::pack("1", &photo(0.1)).unwrap());
         assert_eq!(*ahead(1).unwrap(), Stored::pack("1", &photo(0.1)).unwrap());
@@ -535,22 +488,42 @@ mod tests {
         let error = ahead(2).unwrap_err().to_string();
         assert!(error.contains("photo `2`") && error.contains("it is damaged"), "{error}");
         // One that is not wanted after all is forgotten, and one whose sky is not there yet is not waited for.
-        pool.install(|| cache.read_ahead(0));
-        pool.install(|| assert!(cache.get(1).is_ok()));
+        cache.read_ahead(0);
+        assert!(cache.get(1).is_ok());
         let waits = Arc::new(Counted { reads: Default::default(), ready: false });
         let mut cache = TrainPhotoCache::new(waits.clone(), names, usize::MAX);
-        pool.install(|| cache.read_ahead(0));
+        cache.read_ahead(0);
         assert!(cache.ahead.is_none() && waits.reads[0].load(Ordering::SeqCst) == 0);
     }
 
     #[test]
-    fn a_panic_of_who_reads_ahead_is_that_of_who_wants_the_photo() {
-        let ahead = Ahead { state: Mutex::new(AheadState::Ordered), changed: Condvar::new() };
-        ahead.read(|| panic!("a decoder's fault"));
-        assert!(ahead.take().is_none());
-        let ahead = Ahead { state: Mutex::new(AheadState::Ordered), changed: Condvar::new() };
-        assert!(ahead.take().is_none(), "no core had time: who wants the photo reads it");
-        ahead.read(|| panic!("it is not read twice"));
+    fn a_photo_that_panics_when_it_is_read_ahead_panics_when_it_is_wanted() {
+        let reads = Arc::new(AtomicUsize::new(0));
+        let counter = reads.clone();
+        let source = Arc::new(move |_: usize| -> Result<TrainPhoto, std::convert::Infallible> {
+            counter.fetch_add(1, Ordering::SeqCst);
+            panic!("a decoder's fault")
+        });
+        let mut cache = TrainPhotoCache::new(source, vec!["0".into()], usize::MAX);
+        cache.read_ahead(0);
+        let wanted = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| cache.get(0).map(drop)));
+        assert!(wanted.is_err() && reads.load(Ordering::SeqCst) == 2);
+    }
+
+    #[test]
+    fn a_photo_that_another_thread_decodes_does_not_stop_the_only_thread_of_the_pool() {
+        let (decoded, decodes) = std::sync::mpsc::channel::<()>();
+        let decodes = Mutex::new(decodes);
+        // The photo is there when somebody else has done work in the pool.
+        let source = Arc::new(move |_: usize| {
+            decodes.lock().unwrap().recv().expect("it is decoded");
+            Ok::<_, std::convert::Infallible>(photo(0.5))
+        });
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let mut cache = TrainPhotoCache::new(source, vec!["0".into()], usize::MAX);
+        pool.install(|| cache.read_ahead(0));
+        pool.install(|| decoded.send(()).expect("it is awaited"));
+        assert!(cache.get(0).is_ok());
     }
 
     #[test]
