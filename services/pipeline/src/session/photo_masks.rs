@@ -56,7 +56,14 @@ impl<'a> PhotoMasks<'a> {
         let draw = |photo: &usize| -> Result<[Image; 2], RunError> {
             let view = &views[*photo];
             let of = |masks: &ObjectMasks| masks.share(&view.camera, &view.pose, self.session.size());
-            Ok([of(&self.in_sight)?, of(&self.alone)?])
+            let alone = of(&self.alone)?;
+            // What the photo would not show of the object alone, it does not show among the rest: of many photos, few show it.
+            let in_sight = if alone.data.iter().all(|&share| share == 0.0) {
+                Image::zeros(alone.width, alone.height, 1)
+            } else {
+                of(&self.in_sight)?
+            };
+            Ok([in_sight, alone])
         };
         let shares = photos.iter().map(draw).collect::<Result<Vec<_>, _>>()?;
         let hand_on = |(&photo, [visible, amodal]): (&usize, &[Image; 2])| {
