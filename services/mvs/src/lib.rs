@@ -47,7 +47,7 @@
 //! let few = few.collect();
 //! let scene = Scene::new(views, few);
 //!
-//! let found = points(&scene, &[0, 1, 2, 3], images, 1000, 1, &|| false).expect("nobody stops it");
+//! let found = points(&scene, &[0, 1, 2, 3], images, 1000, 1, &|_, _| false).expect("nobody stops it");
 //! assert!(found.len() > 300, "{}", found.len());
 //! assert!(found.iter().filter(|p| (p.position.z - 1.0).abs() < 0.03).count() * 10 > found.len() * 9);
 //! ```
