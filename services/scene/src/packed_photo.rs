@@ -1,11 +1,11 @@
 //! Photos at the size that they are used in, kept outside the process, so that their files are decoded once.
 
-use crate::eight_bits::{byte, value};
+use crate::pixel_bits::PixelBits;
 use crate::whole::read_whole;
 use crate::{Camera, Image, LoadedPhoto, Mask, View};
-use wincode::SchemaWrite;
+use wincode::{SchemaRead, SchemaWrite};
 
-/// A photo as a record: exact, and a byte per value where the values are those of 8-bit pixels.
+/// A photo as a record: exact, and of as many bits per value as the photo's pixels have.
 ///
 /// ```
 /// use segwild_scene::{Camera, Image, LoadedPhoto, PackedPhoto};
@@ -18,20 +18,57 @@ use wincode::SchemaWrite;
 pub struct PackedPhoto {
     width: u32,
     height: u32,
-    /// Planes of bytes, as those of [`LoadedPhoto::image`]; empty where there are floats.
-    bytes: Vec<u8>,
-    /// The same planes as they are: photos of 16 bits have values between bytes.
-    floats: Vec<f32>,
+    /// Those of [`LoadedPhoto::image`].
+    planes: StoredPlanes,
     valid: Option<Mask>,
     empty: Option<Mask>,
+}
+
+/// Colour planes, one after the other.
+#[derive(Clone, Debug, PartialEq, SchemaRead, SchemaWrite)]
+enum StoredPlanes {
+    /// Of pixels of 8 bits.
+    Eight(Vec<u8>),
+    /// Of pixels of 16 bits.
+    Sixteen(Vec<u16>),
+    /// Of others.
+    Floats(Vec<f32>),
+}
+
+impl StoredPlanes {
+    fn of(data: &[f32]) -> StoredPlanes {
+        fn bits<T: PixelBits>(data: &[f32]) -> Option<Vec<T>> {
+            data.iter().map(|&v| T::of(v)).collect()
+        }
+        let sixteen = || bits(data).map(StoredPlanes::Sixteen);
+        bits(data)
+            .map(StoredPlanes::Eight)
+            .or_else(sixteen)
+            .unwrap_or_else(|| StoredPlanes::Floats(data.to_vec()))
+    }
+
+    fn values(self) -> Vec<f32> {
+        match self {
+            StoredPlanes::Eight(pixels) => pixels.into_iter().map(PixelBits::value).collect(),
+            StoredPlanes::Sixteen(pixels) => pixels.into_iter().map(PixelBits::value).collect(),
+            StoredPlanes::Floats(values) => values,
+        }
+    }
+
+    fn count(&self) -> usize {
+        match self {
+            StoredPlanes::Eight(pixels) => pixels.len(),
+            StoredPlanes::Sixteen(pixels) => pixels.len(),
+            StoredPlanes::Floats(values) => values.len(),
+        }
+    }
 }
 
 read_whole!(
     PackedPhoto as PackedPhotoRecord {
         width: u32,
         height: u32,
-        bytes: Vec<u8>,
-        floats: Vec<f32>,
+        planes: StoredPlanes,
         valid: Option<Mask>,
         empty: Option<Mask>,
     }
@@ -43,22 +80,17 @@ impl PackedPhoto {
     /// Whether it has three values for each pixel, and masks of its size.
     fn is_whole(&self) -> bool {
         let values = 3 * u128::from(self.width) * u128::from(self.height);
-        let lengths = [self.bytes.len(), self.floats.len()].map(|length| length as u128);
         let fits = |mask: &Mask| (mask.width(), mask.height()) == (self.width, self.height);
-        (lengths == [values, 0] || lengths == [0, values])
-            && [&self.valid, &self.empty].into_iter().flatten().all(fits)
+        self.planes.count() as u128 == values && [&self.valid, &self.empty].into_iter().flatten().all(fits)
     }
 
     /// The record of a photo.
     pub fn of(photo: &LoadedPhoto) -> PackedPhoto {
         let LoadedPhoto { image, valid, empty, .. } = photo;
-        let bytes: Option<Vec<u8>> = image.data.iter().map(|&v| byte(v)).collect();
-        let floats = if bytes.is_some() { Vec::new() } else { image.data.clone() };
         PackedPhoto {
             width: image.width as u32,
             height: image.height as u32,
-            bytes: bytes.unwrap_or_default(),
-            floats,
+            planes: StoredPlanes::of(&image.data),
             valid: valid.clone(),
             empty: empty.clone(),
         }
@@ -66,12 +98,12 @@ impl PackedPhoto {
 
     /// The photo, taken by a camera of its size; `None` where the sizes differ.
     pub fn unpack(self, camera: Camera) -> Option<LoadedPhoto> {
-        let PackedPhoto { width, height, bytes, floats, valid, empty } = self;
+        let PackedPhoto { width, height, planes, valid, empty } = self;
         if (camera.width, camera.height) != (width, height) {
             return None;
         }
-        let data = if floats.is_empty() { bytes.into_iter().map(value).collect() } else { floats };
-        let image = Image { width: width as usize, height: height as usize, channels: 3, data };
+        let (width, height) = (width as usize, height as usize);
+        let image = Image { width, height, channels: 3, data: planes.values() };
         Some(LoadedPhoto { image, camera, valid, empty })
     }
 }
@@ -90,12 +122,16 @@ pub trait PhotoCache: Send + Sync {
 const LARGER: u64 = 4;
 
 impl View {
-    /// Whether the photo at a long side of so many pixels takes much longer to make of its file than to read: it is used much smaller
-    /// than it is, or is undistorted (half a second at 1600 px).
-    pub(crate) fn is_dear_at(&self, long_side: u32) -> bool {
+    /// Whether the photo is used at a long side of so many pixels much smaller than it is.
+    pub(crate) fn is_larger_than(&self, long_side: u32) -> bool {
         let pixels = |camera: &Camera| u64::from(camera.width) * u64::from(camera.height);
-        let used = pixels(&self.camera.scaled_to(long_side.max(1)));
-        self.photo.lens.is_some() || pixels(&self.camera) >= LARGER * used
+        pixels(&self.camera) >= LARGER * pixels(&self.camera.scaled_to(long_side.max(1)))
+    }
+
+    /// Whether the photo at that size takes much longer to make of its file than to read: it is much larger, or is undistorted (half
+    /// a second at 1600 px).
+    pub(crate) fn is_dear_at(&self, long_side: u32) -> bool {
+        self.photo.lens.is_some() || self.is_larger_than(long_side)
     }
 }
 
@@ -111,13 +147,19 @@ mod tests {
     }
 
     #[test]
-    fn every_photo_is_unpacked_as_it_was_and_those_of_8_bits_take_a_byte_per_value() {
-        let eight = photo((0..18).map(|i| value(i * 15)).collect());
-        let sixteen = photo((0..18u16).map(|i| f32::from(i * 3800 + 7) / 65535.0).collect());
+    fn every_photo_is_unpacked_as_it_was_and_takes_the_bits_of_its_pixels() {
+        let eight = photo((0..18u8).map(|i| (i * 15).value()).collect());
+        let sixteen = photo((0..18u16).map(|i| (i * 3800 + 7).value()).collect());
+        let halves = photo((0..18u16).map(|i| (f32::from(i) + 0.5) / 65535.0).collect());
         let odd = photo(vec![f32::NAN; 18]);
-        for (photo, bytes) in [(&eight, 18), (&sixteen, 0)] {
+        for (photo, bytes_of_value) in [(&eight, 1), (&sixteen, 2), (&halves, 4)] {
             let packed = PackedPhoto::of(photo);
-            assert_eq!((packed.bytes.len(), packed.floats.len()), (bytes, 18 - bytes));
+            let bytes = match &packed.planes {
+                StoredPlanes::Eight(pixels) => pixels.len(),
+                StoredPlanes::Sixteen(pixels) => 2 * pixels.len(),
+                StoredPlanes::Floats(values) => 4 * values.len(),
+            };
+            assert_eq!(bytes, 18 * bytes_of_value);
             assert_eq!(packed.unpack(CAMERA).as_ref(), Some(photo));
         }
         assert!(PackedPhoto::of(&odd).unpack(CAMERA).unwrap().image.data.iter().all(|v| v.is_nan()));
@@ -134,7 +176,7 @@ mod tests {
         let forged = [
             PackedPhoto { width: 4, ..whole.clone() },
             PackedPhoto { width: u32::MAX, height: u32::MAX, ..whole.clone() },
-            PackedPhoto { floats: vec![0.0; 18], ..whole.clone() },
+            PackedPhoto { planes: StoredPlanes::Sixteen(vec![0; 9]), ..whole.clone() },
             PackedPhoto { empty: Some(Mask::full(2, 2)), ..whole.clone() },
         ];
         assert!(forged.iter().all(|forged| again(forged).is_none()));

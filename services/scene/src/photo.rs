@@ -2,8 +2,8 @@
 
 use crate::decode::{DecodeError, Decoded, ImageHead, swaps_sides};
 use crate::digest::file_digest;
-use crate::eight_bits::{is_of_bytes, to_bytes};
 use crate::lens::Lens;
+use crate::pixel_bits::with_bits_of;
 use crate::{Camera, Image, Mask, PhotoError, SceneError, View};
 use fast_image_resize as fir;
 use image::metadata::Orientation;
@@ -52,7 +52,7 @@ pub fn load_photo(path: &Path, long_side: u32) -> Result<Image, SceneError> {
         let whole = Camera { width, height, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0 };
         let (width, height) = whole.size_for(long_side.max(1));
         let stored = if swaps { (height, width) } else { (width, height) };
-        head.decode_and(path, stored, |mut decoded| {
+        head.decode_and(path, stored, 0, |mut decoded| {
             decoded.turn(orientation);
             shrink(decoded, width, height)
         })
@@ -89,20 +89,18 @@ impl View {
             if self.photo.reading.empty {
                 decoded.image = before_grey(decoded.image);
             }
-            Ok((shrink(decoded, size.width, size.height)?, opaque))
+            let image = shrink(decoded, size.width, size.height)?;
+            let Some((lens, fine)) = &fine else { return Ok((image, opaque)) };
+            let straight = straighten(&image, &lens.resized(fine.width, fine.height), fine)
+                .resized(camera.width as usize, camera.height as usize);
+            // As it was taken: the training keeps 8 bits, and a cache then takes a quarter of the bytes.
+            Ok((with_bits_of(&image, straight), opaque))
         };
+        let bent_bytes =
+            fine.as_ref().map_or(0, |(_, fine)| BENT * u64::from(fine.width) * u64::from(fine.height));
         let size = stored(size, swaps_sides(orientation));
         let (image, mut valid) =
-            head.decode_and(path, size, shrunk).map_err(|e| self.photo_error(path, e))?;
-        let image = match &fine {
-            None => image,
-            Some((lens, fine)) => {
-                let straight = straighten(&image, &lens.resized(fine.width, fine.height), fine)
-                    .resized(camera.width as usize, camera.height as usize);
-                // As it was taken: the training keeps 8 bits, and a cache then takes a quarter of the bytes.
-                if is_of_bytes(&image) { to_bytes(straight) } else { straight }
-            }
-        };
+            head.decode_and(path, size, bent_bytes, shrunk).map_err(|e| self.photo_error(path, e))?;
         let empty_of =
             |opaque: &Option<Mask>| opaque.as_ref().filter(|_| self.photo.reading.empty).map(Mask::not);
         let mut empty = empty_of(&valid);
@@ -199,7 +197,7 @@ impl View {
     pub(crate) fn stored_pixels(&self, long_side: u32) -> Result<Image, PhotoError> {
         let (head, _) = self.head()?;
         let Camera { width, height, .. } = self.camera.scaled_to(long_side);
-        Ok(head.decode_and(&self.photo.path, (width, height), |decoded| shrink(decoded, width, height))?)
+        Ok(head.decode_and(&self.photo.path, (width, height), 0, |decoded| shrink(decoded, width, height))?)
     }
 
     /// Its masks, and whether white is ignored in them.
@@ -277,6 +275,9 @@ pub(crate) fn bytes_of(path: &Path, most_pixels: u64) -> u64 {
 
 /// Longest side at which a photo is examined.
 const EXAMINED: u32 = 256;
+
+/// Bytes per pixel that undistorting takes: three numbers for the photo as taken, and three for what becomes of it.
+const BENT: u64 = 24;
 
 /// The size at which a photo is undistorted.
 fn bent(camera: &Camera, long_side: u32) -> Camera {

@@ -102,15 +102,17 @@ impl PhotoStore {
         Ok(photo)
     }
 
-    /// What [`View::examine`] finds. A photo that the cache keeps is put there, so that it is not decoded for this alone.
+    /// What [`View::examine`] finds. A photo of a large file that the cache keeps is put there, so that it is not decoded for this
+    /// alone. One that is kept because it is undistorted is not: all cores examine photos at once, and would undistort as many.
     ///
     /// # Errors
     /// As [`View::examine`].
     pub fn examine(&self, view: usize) -> Result<Option<String>, SceneError> {
         let of = &self.scene.views[view];
-        match self.cache_of(of) {
-            Some(_) => of.examine_as(|| self.load(view)),
-            None => of.examine(self.long_side),
+        if self.cache.is_some() && of.is_larger_than(self.long_side) {
+            of.examine_as(|| self.load(view))
+        } else {
+            of.examine(self.long_side)
         }
     }
 

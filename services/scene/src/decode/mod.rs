@@ -285,14 +285,15 @@ impl ImageHead {
         self.decode_now(path, least(width, height))
     }
 
-    /// Decodes, and passes the image to `then` while its memory is still held.
+    /// Decodes, and passes the image to `then`, which takes so many bytes itself, while its memory is still held.
     pub fn decode_and<T>(
         &self,
         path: &Path,
         (width, height): (u32, u32),
+        bytes: u64,
         then: impl FnOnce(Decoded) -> Result<T, DecodeError>,
     ) -> Result<T, DecodeError> {
-        let _permit = memory::enter(self.bytes_for(width, height));
+        let _permit = memory::enter(self.bytes_for(width, height).saturating_add(bytes));
         then(self.decode_now(path, least(width, height))?)
     }
 

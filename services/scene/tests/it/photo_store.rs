@@ -1,6 +1,8 @@
 //! The store of photos: one decoding for all readers, a bound on what is kept, and files that change meanwhile.
 
 use crate::common::{SIZE, line, open, write, write_photo};
+use segwild_scene::colmap::CameraModel;
+use segwild_scene::lens::Lens;
 use segwild_scene::{PackedPhoto, PhotoCache, PhotoStore, SceneError};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Barrier, Mutex};
@@ -129,6 +131,32 @@ fn a_photo_of_about_the_size_that_is_used_takes_no_space_in_the_cache() {
     let (store, cache) = cached(dir.path(), SIZE.0 as u32 * 3 / 4);
     store.read(0).unwrap();
     assert!(store.examine(1).unwrap().is_none() && cache.0.lock().unwrap().is_empty());
+}
+
+#[test]
+fn an_undistorted_photo_is_kept_when_it_is_read_and_not_undistorted_to_be_examined() {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), &line(2));
+    let (width, height) = (SIZE.0 as u32, SIZE.1 as u32);
+    let deep = |x: u32, y: u32| image::Rgb([900 * x + 7, 1000 * y + 5, 700 * (x + y)].map(|v| v as u16));
+    let deep = image::ImageBuffer::from_fn(width, height, deep);
+    image::DynamicImage::ImageRgb16(deep).save(dir.path().join("images/photo01.png")).unwrap();
+    let mut scene = open(dir.path()).unwrap();
+    let params = [50.0, f64::from(width) / 2.0, f64::from(height) / 2.0, 0.1];
+    let lens = Lens::new(CameraModel::SimpleRadial, width.into(), height.into(), &params).unwrap();
+    scene.views.iter_mut().for_each(|view| view.photo.lens = Some(lens.clone()));
+    let cache = Arc::new(InMemory::default());
+    let store = PhotoStore::new(Arc::new(scene), 1000, 0).with_cache(cache.clone());
+    // Undistorting makes values that no pixel has; each is kept with the bits of a pixel all the same.
+    for (view, bytes_of_value) in [(0, 1), (1, 2)] {
+        assert!(store.examine(view).unwrap().is_none() && cache.photo(view).is_none());
+        let read = store.read(view).unwrap();
+        let bytes = wincode::serialize(&cache.photo(view).unwrap()).unwrap().len();
+        let values = read.image.data.len();
+        let fits = bytes_of_value * values..(bytes_of_value + 1) * values;
+        assert!(fits.contains(&bytes), "photo {view}: {bytes} bytes for {values} values");
+        assert_eq!(*store.read(view).unwrap(), *read);
+    }
 }
 
 #[test]
