@@ -7,8 +7,9 @@ use segwild_scene::{
     Camera, Image, LoadedPhoto, Mask, ReaderError, TASK_PIXELS, in_pieces, per_piece, per_pixel,
 };
 use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::thread::JoinHandle;
+use std::sync::mpsc::{Receiver, channel};
 
 /// A photo with what is known of its pixels.
 #[derive(Clone, Debug)]
@@ -342,8 +343,18 @@ pub(crate) struct TrainPhotoCache {
     clock: u64,
     bytes: usize,
     limit: usize,
-    /// The view whose photo another thread reads while the step before works.
-    ahead: Option<(usize, JoinHandle<Result<Stored, TrainError>>)>,
+    /// Reads a photo while the step before works. No pool that others compute in: a thread that waits there for a photo that another
+    /// decodes may be the one that the other waits for. It has one thread, on which a photo is read and packed whole.
+    reader: Option<rayon::ThreadPool>,
+    /// The view whose photo the reader reads, and where it will be; nothing after a panic.
+    ahead: Option<(usize, Receiver<Result<Stored, TrainError>>)>,
+}
+
+impl Drop for TrainPhotoCache {
+    /// Nothing reads photos, or writes a run's cache of them, after its training.
+    fn drop(&mut self) {
+        self.ahead.take().map(|(_, read)| read.recv());
+    }
 }
 
 /// Reads and packs a photo.
@@ -355,7 +366,16 @@ fn read(source: &dyn Photos, view: usize, name: &str) -> Result<Stored, TrainErr
 
 impl TrainPhotoCache {
     pub fn new(source: Arc<dyn Photos>, names: Vec<String>, limit: usize) -> TrainPhotoCache {
-        TrainPhotoCache { source, names, held: BTreeMap::new(), clock: 0, bytes: 0, limit, ahead: None }
+        TrainPhotoCache {
+            source,
+            names,
+            held: BTreeMap::new(),
+            clock: 0,
+            bytes: 0,
+            limit,
+            reader: None,
+            ahead: None,
+        }
     }
 
     /// Has another thread read a photo that [`TrainPhotoCache::get`] will return next, if it does not wait for a stage.
@@ -364,12 +384,20 @@ impl TrainPhotoCache {
         if ordered || self.held.contains_key(&view) || !self.source.is_ready(view) {
             return;
         }
-        let (source, name) = (self.source.clone(), self.names[view].clone());
-        // No thread of the pool: one that waits there for a photo that another decodes may be the one that the other waits for.
-        let thread = std::thread::Builder::new().name("read ahead".into());
-        let thread = thread.spawn(move || read(&*source, view, &name));
+        if self.reader.is_none() {
+            let reader = rayon::ThreadPoolBuilder::new().num_threads(1).thread_name(|_| "read ahead".into());
+            self.reader = reader.build().ok();
+        }
         // Without a thread it is read when it is wanted.
-        self.ahead = thread.ok().map(|thread| (view, thread));
+        let Some(reader) = &self.reader else { return };
+        let (source, name) = (self.source.clone(), self.names[view].clone());
+        let (done, ahead) = channel();
+        reader.spawn(move || {
+            // After a panic it is read when it is wanted, and panics where panics are dealt with.
+            let stored = catch_unwind(AssertUnwindSafe(|| read(&*source, view, &name)));
+            drop(stored.map(|stored| done.send(stored)));
+        });
+        self.ahead = Some((view, ahead));
     }
 
     /// Takes the cache with all it holds; an empty one is left.
@@ -413,9 +441,7 @@ impl TrainPhotoCache {
             *used = self.clock;
             return Ok(stored.clone());
         }
-        // After a panic it is read here, and panics where panics are dealt with.
-        let ahead =
-            self.ahead.take_if(|(ahead, _)| *ahead == view).and_then(|(_, thread)| thread.join().ok());
+        let ahead = self.ahead.take_if(|(ahead, _)| *ahead == view).and_then(|(_, read)| read.recv().ok());
         let stored = ahead.unwrap_or_else(|| read(&*self.source, view, &self.names[view]));
         let stored = Arc::new(stored?);
         self.bytes += stored.bytes();
@@ -508,6 +534,40 @@ mod tests {
         cache.read_ahead(0);
         let wanted = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| cache.get(0).map(drop)));
         assert!(wanted.is_err() && reads.load(Ordering::SeqCst) == 2);
+    }
+
+    #[test]
+    fn no_photo_is_read_after_the_training_that_wanted_it() {
+        let finished = Arc::new(AtomicUsize::new(0));
+        let counter = finished.clone();
+        let source = Arc::new(move |_: usize| {
+            std::thread::sleep(std::time::Duration::from_millis(50));
+            counter.fetch_add(1, Ordering::SeqCst);
+            Ok::<_, std::convert::Infallible>(photo(0.5))
+        });
+        let mut cache = TrainPhotoCache::new(source, vec!["0".into()], usize::MAX);
+        cache.read_ahead(0);
+        drop(cache);
+        assert_eq!(finished.load(Ordering::SeqCst), 1);
+    }
+
+    #[test]
+    fn a_photo_is_read_ahead_by_one_thread_that_nothing_else_computes_on() {
+        let threads = Arc::new(Mutex::new(Vec::new()));
+        let seen = threads.clone();
+        let source = Arc::new(move |_: usize| {
+            // More than one task: a pool would share them.
+            let all = per_piece(4 * TASK_PIXELS, |_| std::thread::current().name().map(str::to_owned));
+            seen.lock().unwrap().extend(all);
+            Ok::<_, std::convert::Infallible>(photo(0.5))
+        });
+        let mut cache = TrainPhotoCache::new(source, vec!["0".into(); 2], usize::MAX);
+        for view in [0, 1] {
+            cache.read_ahead(view);
+            cache.get(view).unwrap();
+        }
+        let threads = threads.lock().unwrap();
+        assert!(threads.len() == 8 && threads.iter().all(|name| name.as_deref() == Some("read ahead")));
     }
 
     #[test]

@@ -303,7 +303,10 @@ impl Trainer {
             };
             match self.photos.get(view) {
                 Ok(stored) => {
-                    self.state.sampler.upcoming().into_iter().for_each(|view| self.photos.read_ahead(view));
+                    let is_last = self.state.step + 1 >= self.settings.steps;
+                    if let Some(next) = self.state.sampler.upcoming().filter(|_| !is_last) {
+                        self.photos.read_ahead(next);
+                    }
                     return Ok((view, stored));
                 }
                 Err(TrainError::Photo { name, reason }) => {

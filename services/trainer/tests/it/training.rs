@@ -2,11 +2,12 @@
 
 use crate::wall::*;
 use segwild_raster::Channels;
-use segwild_scene::{Image, Mask, Observation, View};
+use segwild_scene::{Image, Mask, Observation, Scene, TASK_PIXELS, View};
 use segwild_trainer::{
     AppearanceModel, Checkpoint, DensityKind, Model, Photos, Protocol, TrainError, TrainPhoto, TrainSettings,
     Trainer, choose_appearance, choose_budget, evaluate, render_view,
 };
+use std::convert::Infallible;
 use std::sync::Arc;
 
 #[test]
@@ -23,6 +24,31 @@ fn every_strategy_learns_a_view_it_never_saw_within_its_cap() {
     }
 }
 
+/// The last checkpoint of a training by so many threads, which is stopped and resumed after these steps.
+fn trained_bytes(
+    scene: &Scene,
+    photos: &Arc<dyn Photos>,
+    settings: &TrainSettings,
+    threads: usize,
+    stops: &[u32],
+) -> Vec<u8> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    pool.install(|| {
+        let mut trainer = Trainer::new(engine(), scene, photos.clone(), settings.clone()).unwrap();
+        for &stop in stops {
+            while trainer.steps_done() < stop {
+                trainer.step().unwrap();
+            }
+            let held = wincode::deserialize(&bytes(&trainer.checkpoint().unwrap())).unwrap();
+            trainer = Trainer::resume(engine(), scene, photos.clone(), held).unwrap();
+        }
+        while !trainer.is_done() {
+            trainer.step().unwrap();
+        }
+        bytes(&trainer.checkpoint().unwrap())
+    })
+}
+
 #[test]
 fn resuming_gives_the_bytes_of_not_stopping_and_threads_do_not_matter() {
     let scene = scene(6);
@@ -34,26 +60,31 @@ fn resuming_gives_the_bytes_of_not_stopping_and_threads_do_not_matter() {
     let appearances = [AppearanceModel::Affine, AppearanceModel::Embed, AppearanceModel::Gsw];
     for (density, appearance) in all.into_iter().zip(appearances) {
         let s = TrainSettings { density, appearance_model: appearance, robust: true, ..settings(120) };
-        let run = |threads: usize, stops: &[u32]| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| {
-                let mut trainer = Trainer::new(engine(), &scene, photos.clone(), s.clone()).unwrap();
-                for &stop in stops {
-                    while trainer.steps_done() < stop {
-                        trainer.step().unwrap();
-                    }
-                    let held = wincode::deserialize(&bytes(&trainer.checkpoint().unwrap())).unwrap();
-                    trainer = Trainer::resume(engine(), &scene, photos.clone(), held).unwrap();
-                }
-                while !trainer.is_done() {
-                    trainer.step().unwrap();
-                }
-                bytes(&trainer.checkpoint().unwrap())
-            })
-        };
+        let run = |threads, stops: &[u32]| trained_bytes(&scene, &photos, &s, threads, stops);
         let straight = run(1, &[]);
         assert!(straight == run(4, &[]), "{density}: threads matter");
         assert!(straight == run(2, &[1, 37, 100]), "{density}: stopping matters");
+    }
+}
+
+#[test]
+fn threads_do_not_matter_where_photos_are_shared_out_among_them() {
+    let scene = scene(5);
+    let large = |i: usize| {
+        let (image, sky) = photo_of(&scene.views[i]);
+        let (width, height) = (7 * W, 7 * H);
+        assert!((width * height) as usize > TASK_PIXELS, "one thread does it all");
+        let image = image.resized(width as usize, height as usize);
+        TrainPhoto { image, valid: None, sky: Some(sky.resized(width, height)), transients: None }
+    };
+    let all: Vec<TrainPhoto> = (0..scene.views.len()).map(large).collect();
+    let photos: Arc<dyn Photos> = Arc::new(move |i: usize| Ok::<_, Infallible>(all[i].clone()));
+    for appearance_model in [AppearanceModel::Affine, AppearanceModel::Gsw] {
+        let s = TrainSettings { appearance_model, robust: true, ..settings(24) };
+        let run = |threads, stops: &[u32]| trained_bytes(&scene, &photos, &s, threads, stops);
+        let straight = run(1, &[]);
+        assert!(straight == run(3, &[]), "{appearance_model}: threads matter");
+        assert!(straight == run(2, &[15]), "{appearance_model}: stopping matters");
     }
 }
 
