@@ -9,10 +9,15 @@ pub fn share_heaps() {
     if std::env::var_os("MALLOC_ARENA_MAX").is_some() {
         return;
     }
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let heaps = (cores / 4).clamp(2, 16) as libc::c_int;
     // SAFETY: it only sets a number. Where it is refused, nothing has changed.
-    unsafe { libc::mallopt(libc::M_ARENA_MAX, heaps) };
+    unsafe { libc::mallopt(libc::M_ARENA_MAX, heaps() as libc::c_int) };
+}
+
+/// Their number.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+fn heaps() -> usize {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    (cores / 4).clamp(2, 16)
 }
 
 /// Other allocators share their memory among threads by themselves.
@@ -24,7 +29,7 @@ pub fn share_heaps() {}
 /// (docs/experiments/2026-12-01-steps-on-large-photos.md).
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const KEPT_IMAGES: u64 = 12;
-/// Share of the memory budget that it keeps at most.
+/// Share of the memory budget that all heaps keep at most.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const OF_BUDGET: u64 = 16;
 
@@ -38,15 +43,17 @@ pub fn keep_images(long_side: u32, budget_mib: u32) {
     // Three planes of numbers, 4 to 3.
     let image = u64::from(long_side).pow(2) * 3 / 4 * 12;
     let most = if budget_mib == 0 { u64::MAX } else { (u64::from(budget_mib) << 20) / OF_BUDGET };
+    let kept = (KEPT_IMAGES * image).max(2 * LARGEST_OF_A_HEAP).min(most / heaps() as u64);
     let bytes = |bytes: u64| libc::c_int::try_from(bytes).unwrap_or(libc::c_int::MAX);
     // SAFETY: they only set numbers. Where one is refused, nothing has changed.
     unsafe {
-        libc::mallopt(libc::M_MMAP_THRESHOLD, bytes((2 * image).min(LARGEST_OF_A_HEAP)));
-        libc::mallopt(libc::M_TRIM_THRESHOLD, bytes((KEPT_IMAGES * image).min(most)));
+        libc::mallopt(libc::M_MMAP_THRESHOLD, bytes(LARGEST_OF_A_HEAP));
+        libc::mallopt(libc::M_TRIM_THRESHOLD, bytes(kept));
     }
 }
 
-/// The C library's bound on what it takes from a heap instead of from the system.
+/// What is larger never comes from a heap. The C library lets both thresholds rise up to this, and to its double, with what a program
+/// frees, unless one of them is set.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const LARGEST_OF_A_HEAP: u64 = 32 << 20;
 
