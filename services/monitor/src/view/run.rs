@@ -309,12 +309,14 @@ fn stages(
         let (made, cached, failed) = count.map_or((0, 0, 0), |c| (c.made, c.cached, c.failed));
         let booked = made + cached + failed;
         let going = state == "running";
+        // A stage that was stopped in a part of it has the counts of that part, which are not its own.
+        let counted = live.filter(|l| going || l.part.is_none());
         StageView {
             name: name.into(),
             state: state.into(),
             part: live.filter(|_| going).and_then(|l| l.part.clone()),
-            done: live.map_or(booked, |l| l.done.max(if going { 0 } else { booked })),
-            total: live.and_then(|l| l.total).or((booked > 0).then_some(booked)),
+            done: counted.map_or(booked, |l| l.done.max(if going { 0 } else { booked })),
+            total: counted.and_then(|l| l.total).or((booked > 0).then_some(booked)),
             rate: live.filter(|_| going).map_or(0.0, |l| l.rate),
             eta_s: live.filter(|_| going).and_then(|l| l.eta_s),
             made,

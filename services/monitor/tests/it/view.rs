@@ -54,6 +54,18 @@ fn a_stage_says_which_of_its_parts_is_under_way() {
 }
 
 #[test]
+fn a_run_that_was_killed_in_a_part_of_a_stage_has_not_the_counts_of_that_part() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let mut now = sample();
+    let geometry = now.stages.iter_mut().find(|s| s.stage == "geometry").expect("it runs");
+    geometry.part = Some("short trainings".into());
+    drop(run_in(dir.path(), &now));
+    let run = run_view(dir.path());
+    let geometry = run.stages.iter().find(|s| s.name == "geometry").expect("it is listed");
+    assert_eq!((geometry.state.as_str(), geometry.done, geometry.total), ("pending", 0, None));
+}
+
+#[test]
 fn what_was_seen_stays_after_the_run() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let ledger = run_in(dir.path(), &sample());

@@ -165,10 +165,14 @@ impl GeometryStage {
             TrainOutcome::Preparing(PreparationProgress { part, done, total }) => {
                 if let Some(bar) = run.bar(Stage::Geometry) {
                     let (name, total) = (part.to_string(), total as u64);
-                    if bar.part() != Some(&name) || (bar.done() as usize) > done {
+                    let done = done as u64;
+                    if bar.part() != Some(&name) || bar.done() > done {
                         bar.next_part(&name, Some(total));
+                        // A part that goes on after another one: what it has done took none of the time since.
+                        bar.cached(done);
                     }
-                    bar.advance((done as u64).saturating_sub(bar.done()));
+                    bar.set_total(total);
+                    bar.advance(done.saturating_sub(bar.done()));
                 }
                 Ok(())
             }
