@@ -35,6 +35,9 @@ pub(crate) const LIGHT: usize = BACKGROUND + SKY;
 const PAIRS: usize = LIGHT + size_of::<EmbedLight>() / 4;
 pub(crate) const LENGTH: usize = PAIRS + 2;
 
+/// Derivatives of SSIM at a pixel: of each channel by its mean, mean square and mean product with the photo.
+pub(crate) type SsimDerivatives = [f32; 9];
+
 /// `LossInputs` of `shaders/shared/loss_inputs.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
@@ -262,7 +265,7 @@ pub(crate) fn compare(
     drop(counted);
 
     let by_shown = work.take::<f32>("the gradients of the shown colours", 3 * n)?;
-    let ssim_derivatives = work.take::<[f32; 9]>("derivatives of SSIM", n)?;
+    let ssim_derivatives = work.take::<SsimDerivatives>("derivatives of SSIM", n)?;
     let tiles = width.div_ceil(TILE as usize) * height.div_ceil(TILE as usize);
     let losses = work.take::<[f32; 2]>("scores of SSIM, and differences", 3 * tiles)?;
     let job = [tiles as u32, n as u32, 0, 0];

@@ -71,7 +71,7 @@ mod work_counts;
 pub use adapter::{Adapter, AdapterChoice, NO_DRIVER, adapters};
 pub use engine::GpuEngine;
 pub use memory::LEAST_PHOTOS;
-pub use need::training_bytes;
+pub use need::{longest_of_photo, training_bytes};
 pub use shaders::{KERNELS, Kernel, source};
 pub use work_counts::WorkCounts;
 

@@ -1,6 +1,6 @@
 //! Estimates an accelerator's memory that a training takes, before it starts.
 
-use crate::compare::LENGTH;
+use crate::compare::{LENGTH, SsimDerivatives};
 use crate::groups::TILE;
 use segwild_objective::GswWidth;
 
@@ -42,4 +42,10 @@ pub fn training_bytes(
         + networks.map_or(0, |width| crate::nets::bytes(width, splats)) as f64
         + 4.0 * LENGTH as f64;
     (AMPLE * bytes) as u64
+}
+
+/// Bytes of the longest array that training on photos of so many pixels takes: the derivatives of SSIM. An accelerator binds an array
+/// whole or not at all: on one that binds less ([`Adapter::binding`](crate::Adapter::binding)) such a training ends at its first step.
+pub fn longest_of_photo(pixels: usize) -> u64 {
+    (pixels * size_of::<SsimDerivatives>()) as u64
 }

@@ -13,13 +13,15 @@ pub struct ChosenEngine {
     pub engine: Arc<dyn Engine>,
     /// Which engine it is and why, in words.
     pub why: String,
+    /// Bytes of the longest array that it can use; `None`: of any.
+    pub longest_array: Option<u64>,
 }
 
 impl ChosenEngine {
     fn cpu(why: &str) -> ChosenEngine {
         let engine = CpuEngine::default();
         let why = format!("the CPU engine ({:?}): {why}", engine.isa());
-        ChosenEngine { engine: Arc::new(engine), why }
+        ChosenEngine { engine: Arc::new(engine), why, longest_array: None }
     }
 
     fn gpu(
@@ -29,6 +31,7 @@ impl ChosenEngine {
     ) -> ChosenEngine {
         let adapter = engine.adapter();
         let why = format!("the accelerator {} ({}, {})", adapter.name, adapter.kind, adapter.backend);
+        let longest_array = Some(adapter.binding);
         let engine: Arc<dyn Engine> = match when_lost {
             WhenLost::Stop => Arc::new(engine),
             WhenLost::Cpu => {
@@ -36,7 +39,7 @@ impl ChosenEngine {
                 Arc::new(FallbackEngine::new(Box::new(engine), Box::new(CpuEngine::default()), on_loss))
             }
         };
-        ChosenEngine { engine, why }
+        ChosenEngine { engine, why, longest_array }
     }
 }
 

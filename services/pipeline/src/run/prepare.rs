@@ -239,9 +239,10 @@ fn providers_of(
 
 fn engine_of(settings: &Settings, scene: &Scene, options: &RunOptions) -> Result<Arc<dyn Engine>, RunError> {
     let events = options.events.clone();
-    let ChosenEngine { engine, why } = choose_engine(&settings.run, move |lost| events.warn(None, lost))?;
-    if engine.name() == "gpu" {
-        memory::fits_accelerator(settings, scene)?;
+    let ChosenEngine { engine, why, longest_array } =
+        choose_engine(&settings.run, move |lost| events.warn(None, lost))?;
+    if let Some(longest_array) = longest_array {
+        memory::fits_accelerator(settings, scene, longest_array)?;
     }
     options.events.info(None, format!("splats are computed by {why}"));
     if engine.name() == "gpu" && settings.train.lambda_lpips > 0.0 {

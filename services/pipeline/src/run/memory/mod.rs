@@ -233,11 +233,16 @@ fn lpips_memory(settings: &Settings, pixels: usize) -> usize {
     net.bytes(pixels, settings.train.lambda_lpips > 0.0)
 }
 
-/// Refuses a training that takes more of an accelerator's memory than the budget allows.
+/// Refuses a training that takes more of an accelerator's memory than the budget allows, or an array longer than so many bytes, the
+/// longest that it can use.
 ///
 /// # Errors
 /// In words, with the numbers.
-pub(crate) fn fits_accelerator(settings: &Settings, scene: &Scene) -> Result<(), RunError> {
+pub(crate) fn fits_accelerator(
+    settings: &Settings,
+    scene: &Scene,
+    longest_array: u64,
+) -> Result<(), RunError> {
     let budget = settings.run.memory_budget;
     if scene.imported.is_some() {
         // They are rendered, not trained, in buffers that the engine keeps within the budget.
@@ -252,14 +257,22 @@ pub(crate) fn fits_accelerator(settings: &Settings, scene: &Scene) -> Result<(),
         AppearanceModel::Embed | AppearanceModel::Auto => (EmbedAppearance::EMBEDDING_SIZE, None),
         AppearanceModel::Gsw => (GswAppearance::EMBEDDING_SIZE, Some(settings.train.gsw_width)),
     };
-    let pixels = pixels(settings, scene);
+    let (pixels, size) = (pixels(settings, scene), settings.scene.size);
+    let longest = segwild_gpu::longest_of_photo(pixels);
+    if longest > longest_array {
+        return Err(RunError::Request(format!(
+            "training on photos of {size} px takes arrays of {} MiB, and the accelerator can use none longer than {}: lower \
+             --size, or take --engine cpu",
+            mib(longest),
+            longest_array >> 20
+        )));
+    }
     let bytes =
         segwild_gpu::training_bytes(splats, pixels, settings.train.sh_degree, embedding_size, networks);
     let need = ((bytes + segwild_gpu::LEAST_PHOTOS) as f64 / MIB).ceil() as u32;
     if budget == 0 || need <= budget {
         return Ok(());
     }
-    let size = settings.scene.size;
     Err(RunError::Request(format!(
         "training {splats} splats on photos of {size} px takes about {need} MiB of the accelerator's memory, and \
          --memory-budget allows {budget}: give more, lower --splats or --size, train it in several --blocks, or \
@@ -417,14 +430,31 @@ mod tests {
         let scene = Scene::new(vec![], vec![]);
         let mut settings = Settings::default();
         settings.train.splats = 1_000_000;
-        assert!(fits_accelerator(&settings, &scene).is_ok(), "no budget");
+        assert!(fits_accelerator(&settings, &scene, u64::MAX).is_ok(), "no budget");
         settings.run.memory_budget = 1000;
-        let refused = fits_accelerator(&settings, &scene).expect_err("too little").to_string();
+        let refused = fits_accelerator(&settings, &scene, u64::MAX).expect_err("too little").to_string();
         for word in ["1000000 splats", "--memory-budget allows 1000", "--engine cpu"] {
             assert!(refused.contains(word), "{refused}");
         }
         settings.run.memory_budget = 8000;
-        assert!(fits_accelerator(&settings, &scene).is_ok());
+        assert!(fits_accelerator(&settings, &scene, u64::MAX).is_ok());
+    }
+
+    #[test]
+    fn photos_too_large_for_an_accelerators_arrays_are_refused_before_the_training() {
+        let camera = Camera { width: 4000, height: 3000, fx: 3e3, fy: 3e3, cx: 2e3, cy: 1.5e3 };
+        let pose = Pose::look_at(Vec3::ZERO, Vec3::Z, Vec3::NEG_Y);
+        let view = View { name: "a.jpg".into(), camera, pose, photo: Photo::new("a.jpg"), test: false };
+        let (scene, mut settings) = (Scene::new(vec![view], vec![]), Settings::default());
+        // The least that WebGPU promises.
+        let fits = |settings: &Settings| fits_accelerator(settings, &scene, 128 << 20);
+        settings.scene.size = 1600;
+        assert!(fits(&settings).is_ok());
+        settings.scene.size = 4000;
+        let refused = fits(&settings).expect_err("too large").to_string();
+        for word in ["4000 px", "412 MiB", "none longer than 128", "--size", "--engine cpu"] {
+            assert!(refused.contains(word), "{refused}");
+        }
     }
 
     #[test]
