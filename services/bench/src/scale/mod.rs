@@ -17,7 +17,7 @@ use segwild_eval::trial::ProviderKind;
 use segwild_scene::statistics::median;
 use segwild_synthetic::SyntheticOptions;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What to measure. An axis with fewer than two sizes is left out.
 #[derive(Clone, Debug)]
@@ -104,51 +104,7 @@ const PIXELS: u32 = 128;
 
 /// A whole run with the built-in provider, in a process of its own, up to the held-out scores.
 fn run(options: &ScaleOptions, axis: &str, size: u32) -> Result<Record, PageError> {
-    let of = |name: &str, usual: u32| if axis == name { size } else { usual };
-    let photos = if axis == "clicks" { size } else { of("photos", PHOTOS) };
-    let scene = SyntheticOptions {
-        seed: 1,
-        train: photos as usize,
-        test: 2,
-        long_side: of("pixels", PIXELS),
-        // Where splats grow, there are points enough to start with.
-        points: of("splats", 3000) as usize * 21 / 20,
-        ..SyntheticOptions::default()
-    };
-    let splats = of("splats", 4000);
-    let settings = [
-        ("preset", "draft".to_owned()),
-        ("steps", STEPS.to_string()),
-        ("refine_steps", "60".into()),
-        ("splats", splats.to_string()),
-        // Every run grows to what it is allowed; this strategy gives no splat away either.
-        ("grow_gain", "0".into()),
-        // Nor may pruning by multi-view support remove any: the photos are too few and small for it.
-        ("robust", "false".into()),
-        ("density", if axis == "splats" { "mcmc" } else { "budget" }.into()),
-        // Caches of a fixed size, full in all.
-        ("photo_cache_mib", "4".into()),
-        ("feature_memory", "8".into()),
-        ("vision_memory", "16".into()),
-    ];
-    let job = PointJob {
-        protocol: PROTOCOL.into(),
-        setting: axis.into(),
-        at: Some(f64::from(size)),
-        source: PhotoSource::Synthetic(scene),
-        providers: ProviderKind::Builtin,
-        faults: OracleOptions::default(),
-        settings: settings.map(|(name, value)| (name.to_owned(), value)).to_vec(),
-        harm: Harm::default(),
-        prompting: match axis {
-            "objects" => Prompting::Random(size),
-            "clicks" => Prompting::Timed(TIMED_CLICKS),
-            _ => Prompting::Nowhere,
-        },
-        count: false,
-        seed: 1,
-        dir: options.out.join("run"),
-    };
+    let job = job_of(&options.out, axis, size);
     let _ = std::fs::remove_dir_all(&job.dir);
     let records = point::apart(&options.program, &job)?;
     let _ = std::fs::remove_dir_all(&job.dir);
@@ -171,6 +127,57 @@ fn run(options: &ScaleOptions, axis: &str, size: u32) -> Result<Record, PageErro
     Ok(record)
 }
 
+/// What the process of that run is to do.
+fn job_of(out: &Path, axis: &str, size: u32) -> PointJob {
+    let of = |name: &str, usual: u32| if axis == name { size } else { usual };
+    let photos = if axis == "clicks" { size } else { of("photos", PHOTOS) };
+    let scene = SyntheticOptions {
+        seed: 1,
+        train: photos as usize,
+        test: 2,
+        long_side: of("pixels", PIXELS),
+        // Where splats grow, there are points enough to start with.
+        points: of("splats", 3000) as usize * 21 / 20,
+        ..SyntheticOptions::default()
+    };
+    let splats = of("splats", 4000);
+    let settings = [
+        ("preset", "draft".to_owned()),
+        // Else photos larger than the default would be made smaller.
+        ("size", scene.long_side.to_string()),
+        ("steps", STEPS.to_string()),
+        ("refine_steps", "60".into()),
+        ("splats", splats.to_string()),
+        // Every run grows to what it is allowed; this strategy gives no splat away either.
+        ("grow_gain", "0".into()),
+        // Nor may pruning by multi-view support remove any: the photos are too few and small for it.
+        ("robust", "false".into()),
+        ("density", if axis == "splats" { "mcmc" } else { "budget" }.into()),
+        // Caches of a fixed size, full in all.
+        ("photo_cache_mib", "4".into()),
+        ("feature_memory", "8".into()),
+        ("vision_memory", "16".into()),
+    ];
+    PointJob {
+        protocol: PROTOCOL.into(),
+        setting: axis.into(),
+        at: Some(f64::from(size)),
+        source: PhotoSource::Synthetic(scene),
+        providers: ProviderKind::Builtin,
+        faults: OracleOptions::default(),
+        settings: settings.map(|(name, value)| (name.to_owned(), value)).to_vec(),
+        harm: Harm::default(),
+        prompting: match axis {
+            "objects" => Prompting::Random(size),
+            "clicks" => Prompting::Timed(TIMED_CLICKS),
+            _ => Prompting::Nowhere,
+        },
+        count: false,
+        seed: 1,
+        dir: out.join("run"),
+    }
+}
+
 /// The median of each number of timed clicks; a number that none has is left out.
 fn medians(clicks: &[Record]) -> BTreeMap<String, f64> {
     let median_of = |name: &str| median(clicks.iter().filter_map(|r| r.numbers.get(name).copied()).collect());
@@ -190,6 +197,18 @@ mod tests {
         let of_run = medians(&[click(0.5, 64.0), click(9.0, 10.0), click(1.5, 40.0)]);
         assert_eq!(of_run, BTreeMap::from([("click_s".into(), 1.5), ("visited".into(), 40.0)]));
         assert!(medians(&[]).is_empty());
+    }
+
+    #[test]
+    fn photos_larger_than_the_default_are_trained_at_their_size() {
+        let size_of = |axis: &str, size: u32| {
+            let job = job_of(Path::new("out"), axis, size);
+            let PhotoSource::Synthetic(scene) = job.source else { panic!("a synthetic scene") };
+            let set = job.settings.iter().find(|(name, _)| name == "size").map(|(_, value)| value.clone());
+            (scene.long_side, set)
+        };
+        assert_eq!(size_of("pixels", 1600), (1600, Some("1600".into())));
+        assert_eq!(size_of("splats", 1600), (PIXELS, Some(PIXELS.to_string())));
     }
 
     #[test]
