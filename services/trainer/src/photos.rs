@@ -538,17 +538,26 @@ mod tests {
 
     #[test]
     fn no_photo_is_read_after_the_training_that_wanted_it() {
-        let finished = Arc::new(AtomicUsize::new(0));
-        let counter = finished.clone();
+        let (go_on, goes_on) = channel::<()>();
+        let (done, dones) = channel();
+        let goes_on = Mutex::new(goes_on);
         let source = Arc::new(move |_: usize| {
-            std::thread::sleep(std::time::Duration::from_millis(50));
-            counter.fetch_add(1, Ordering::SeqCst);
+            goes_on.lock().unwrap().recv().expect("it is let go on");
+            done.send(()).unwrap();
             Ok::<_, std::convert::Infallible>(photo(0.5))
         });
         let mut cache = TrainPhotoCache::new(source, vec!["0".into()], usize::MAX);
         cache.read_ahead(0);
-        drop(cache);
-        assert_eq!(finished.load(Ordering::SeqCst), 1);
+        let (dropped, drops) = channel();
+        let training = std::thread::spawn(move || {
+            drop(cache);
+            dropped.send(()).unwrap();
+        });
+        assert!(drops.recv_timeout(std::time::Duration::from_millis(50)).is_err(), "it waits");
+        go_on.send(()).unwrap();
+        drops.recv().expect("it ends");
+        assert!(dones.try_recv().is_ok());
+        training.join().unwrap();
     }
 
     #[test]
